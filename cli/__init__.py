@@ -1,0 +1,1 @@
+"""The command line of xfemnav, installed as the package xfemnav_cli."""

@@ -1,0 +1,174 @@
+"""One exception family, one warning family, one table of codes.
+
+Every failure carries a stable code, one line that says what is wrong, where it is, and how to mend it.
+`FAULTS` is the only list of codes: the exit status, the text of ``docs/errors.md`` and the program use it.
+"""
+
+import warnings
+from typing import NamedTuple
+
+
+class Fault(NamedTuple):
+    """One row of the table of codes: exit status, one-line title, why it happens, how to mend it."""
+
+    exit_code: int
+    title: str
+    cause: str
+    remedy: str
+
+
+EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXIT_UNTRUSTED = 0, 1, 2, 3
+EXIT_DATA, EXIT_NO_INPUT, EXIT_BUG = 65, 66, 70
+EXIT_CANNOT_WRITE, EXIT_DISK_FULL, EXIT_BUSY, EXIT_CONFIG = 73, 74, 75, 78
+
+FAULTS: dict[str, Fault] = {
+    # 1xx: reading images
+    "E100": Fault(66, "input file not found", "A file that the run names does not exist.", "Correct the path."),
+    "E101": Fault(65, "image file is damaged",
+                  "The gzip stream ends early, its CRC does not match, or there are fewer voxels than the header says.",
+                  "Copy the file again; check it with `gzip -t FILE`."),
+    "E102": Fault(65, "image header claims more voxels than the file or the memory limit can hold",
+                  "The header is wrong, or the file is far larger than an image should be.",
+                  "Check the file's origin, or raise `--max-memory`."),
+    "E103": Fault(65, "image has NaN or infinite pixels",
+                  "A processing step divided by zero or masked with NaN.",
+                  "Give the value to put there: `--nan 0`."),
+    "E105": Fault(65, "image header is not valid",
+                  "A field of the header has an impossible value (dimensions, data type, offset).",
+                  "Convert the image again from its source."),
+    "E106": Fault(65, "not an image file",
+                  "The path is a folder, a pipe or a device, or its content is no known image format.",
+                  "Give a NIfTI file (.nii or .nii.gz)."),
+    "E110": Fault(65, "affine cannot be used",
+                  "The matrix from voxels to mm is singular or has NaN, so positions in mm are undefined.",
+                  "Fix the header (sform or qform)."),
+    "E111": Fault(65, "affine is sheared",
+                  "The slice's two array axes are not perpendicular, so its pixels are no rectangles.",
+                  "Resample the image to a grid with perpendicular axes."),
+    "E120": Fault(65, "volume without a chosen slice",
+                  "The image has several slices and xfemnav works on one.",
+                  "Give `--slice K` or `--slice-mm S`, and `--plane` when it is not the axial one."),
+    "E121": Fault(65, "image has several volumes", "The image is 4-D.", "Say which one: `--volume N`."),
+    "E122": Fault(65, "image is not a scalar image", "Colour and complex images have no single intensity.",
+                  "Convert it to one scalar a voxel."),
+    # 2xx: segmentation and mesh
+    "E201": Fault(65, "mask is empty", "No pixel belongs to the organ.", "Give your own mask: `--mask FILE`."),
+    "E202": Fault(65, "image is constant", "Every pixel of the slice has one value; there is nothing to segment.",
+                  "Choose another slice, or give `--mask FILE`."),
+    "E203": Fault(65, "mask covers the whole slice", "The organ has no outline inside the slice.",
+                  "Give a mask with background around the organ."),
+    "E204": Fault(65, "mask and image have different grids",
+                  "The shapes or affines differ, so pixels do not correspond.",
+                  "Resample the mask yourself, or give `--resample-mask`."),
+    "E206": Fault(65, "template cannot be used", "`svc` needs a template image and its mask on one grid.",
+                  "Give both `--template IMG` and `--template-mask FILE`."),
+    "E207": Fault(65, "element size does not fit the organ",
+                  "The mesh would have too many nodes to solve, or too few to be one.",
+                  "Change `--element-size-mm` or `--corridor-element-mm`."),
+    "E208": Fault(65, "mesh is not good enough",
+                  "A triangle is too flat, or the mesh lost a part of the outline narrower than its elements.",
+                  "Use a smaller `--element-size-mm`, or smooth the mask."),
+    "E209": Fault(65, "mesh file cannot be used",
+                  "The file given with `--mesh` is no VTU triangle mesh, or its triangles are flat, overlap or do not connect.",
+                  "Write it again as a VTU of triangles in mm (RAS)."),
+    # 3xx: cuts
+    "E301": Fault(65, "cut does not enter the organ", "No part of the cut lies inside the outline.",
+                  "Check the frame of the points: `--space ras|lps|voxel`."),
+    "E302": Fault(65, "cut lies inside the organ without a mouth",
+                  "The first point is deeper than 5 mm, so the cut does not start at the surface.",
+                  "Start the cut at the surface, or give `--internal`."),
+    "E303": Fault(65, "cut has no length", "All its points coincide, or there is only one.",
+                  "Give at least two different points."),
+    "E304": Fault(65, "cut crosses itself", "Two segments of one cut meet.", "Draw it again without the loop."),
+    "E305": Fault(65, "cut leaves the organ and enters it again", "It crosses the outline more than once, or runs along it.",
+                  "Split it into several cuts, or end it inside."),
+    "E306": Fault(65, "cut frees a piece that nothing holds",
+                  "The cut separates a part of the organ that touches no fixed outline, so it could float away.",
+                  "Let the cut end inside, or hold the piece."),
+    "E307": Fault(65, "point lies off the slice", "A 3-number point is farther than half a slice from the slice's plane.",
+                  "Choose the slice that holds the cut."),
+    # 4xx: mechanics
+    "E401": Fault(3, "retraction folds the tissue",
+                  "More than 1 mm² of tissue is turned inside out, so linear elasticity no longer describes it.",
+                  "Use a smaller displacement; the message names the largest one that does not fold."),
+    "E402": Fault(65, "blade is not on the cut", "The blade's fractions are outside 0..1 or leave nothing to hold.",
+                  "Give `--blade FROM,TO` with 0 <= FROM < TO < 1."),
+    "E403": Fault(65, "two retractions hold one lip", "Two blades overlap on the same lip.",
+                  "Give each lip one blade over each span."),
+    "E404": Fault(65, "material constant out of range", "Young's modulus must be positive and Poisson's ratio in 0..0.499.",
+                  "Correct `--young-kpa` or `--poisson`."),
+    "E405": Fault(65, "left and right look swapped", "The lips are pushed into each other over the held span.",
+                  "Swap `--left` and `--right`; left is left when walking from the mouth to the tip."),
+    "E406": Fault(65, "nothing holds the organ", "The outline is free and no blade holds the tissue, so it can move rigidly.",
+                  "Use `--skull fixed` or hold a lip."),
+    "E407": Fault(70, "linear system was not solved", "The residual of the solution is above its limit.",
+                  "Report this with the run's parameters."),
+    "E408": Fault(65, "measured boundary displacements cannot be used",
+                  "The file has no columns x,y,ux,uy, or its points lie far from the outline.",
+                  "Check the file's columns and frame."),
+    # 5xx: writing
+    "E501": Fault(74, "no space left on the disk", "A result could not be stored.",
+                  "Free some space and run the same command again; finished stages are kept."),
+    "E502": Fault(73, "cannot write there", "The folder is read-only or belongs to somebody else.",
+                  "Give another folder with `-o` or `-w`."),
+    "E503": Fault(75, "another run holds this output folder", "Two runs write to one folder.", "Wait for it, or give another `-o`."),
+    "E504": Fault(73, "output would overwrite an input", "The output folder holds a file that the run reads.", "Give another `-o`."),
+    # 7xx: other files and settings
+    "E701": Fault(65, "file cannot be read", "A file beside the image is not in its format.", "Write it again."),
+    "E780": Fault(78, "scenario or option is not valid", "A value has the wrong type, name or range.",
+                  "The message lists every problem with its place."),
+    "E781": Fault(78, "scenario names a file outside its folder", "Paths in a scenario stay in its folder.",
+                  "Move the file, or pass it on the command line."),
+    "E900": Fault(70, "bug in xfemnav", "Something happened that should not.", "Report it with the traceback from `-vv`."),
+    # warnings
+    "W104": Fault(0, "intensity scaling ignored", "scl_slope or scl_inter is NaN or infinite.", "Check the header."),
+    "W107": Fault(0, "file name and content disagree", "The content is gzip without .gz, or the other way round.", "Rename it."),
+    "W112": Fault(0, "no position in the header", "qform and sform codes are 0; the pixel sizes alone give the frame.",
+                  "Do not trust world positions; use `--space voxel`."),
+    "W205": Fault(0, "mask cleaned", "Smaller components were dropped or holes filled.", "Check the mask."),
+    "W206": Fault(0, "segmentation is doubtful", "Its methods disagree, or its size is unusual.",
+                  "Look at the figure; give `--mask FILE` if it is wrong."),
+    "W207": Fault(0, "a thin part of the outline was lost", "A part narrower than half an element is not in the mesh.",
+                  "Use a smaller element size there."),
+    "W301": Fault(0, "cut prolonged to the outline", "Its first point was inside, within 5 mm of the outline.", "Check the mouth."),
+    "W302": Fault(0, "repeated points merged", "Two neighbouring points of the cut coincide.", "None needed."),
+    "W303": Fault(0, "short internal cut", "An internal cut shorter than 3 elements is resolved coarsely.",
+                  "Use a smaller element in the corridor."),
+    "W310": Fault(0, "sliver pieces", "The cut leaves very small parts of elements; nothing was dropped.", "None needed."),
+    "W311": Fault(0, "small loose piece removed", "A piece smaller than an element was cut free and is not in the result.", "None needed."),
+    "W402": Fault(0, "some tissue is folded", "A small area is turned inside out.", "Check where; use a smaller displacement."),
+    "W403": Fault(0, "lips overlap", "Lips that nobody holds move through each other.", "Hold both lips."),
+    "W404": Fault(0, "blade shortened", "The blade's end was closer than two elements to the tip.", "Use a smaller TO in `--blade`."),
+    "W601": Fault(0, "damaged cache entry recomputed", "A cached file did not match its checksum.", "Check the disk."),
+    "W602": Fault(0, "cache is off", "The cache folder cannot be written.", "Give another folder with `-w`."),
+}
+
+
+class XfemnavError(Exception):
+    """A failure with a stable `code` of `FAULTS` and a one-line message: what, where, how to mend it."""
+
+    def __init__(self, code: str, message: str):
+        super().__init__(f"{code} {message}")
+        self.code = code
+        self.message = message
+
+    @property
+    def exit_code(self) -> int:
+        """Exit status of the command that fails with this error."""
+        return FAULTS[self.code].exit_code
+
+
+class XfemnavWarning(UserWarning):
+    """A choice of the user's that deserves a look; `code` is one of the Wnnn of `FAULTS`."""
+
+    def __init__(self, code: str, message: str):
+        super().__init__(f"{code} {message}")
+        self.code = code
+        self.message = message
+
+
+def warn(code: str, message: str) -> None:
+    """Issue a coded warning; the pipeline records it in run.json, `--strict` makes it an error."""
+    if code not in FAULTS:
+        raise KeyError(code)
+    warnings.warn(XfemnavWarning(code, message), stacklevel=2)

@@ -1,0 +1,1 @@
+"""Meshes, cuts and what a cut does to a mesh. Knows no images, no physics, no files."""

@@ -1,0 +1,1 @@
+"""Configuration, storage, cache, the chain of stages, the report."""
