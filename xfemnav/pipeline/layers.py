@@ -1,0 +1,14 @@
+"""The layers of the code: which part may import which.
+
+`tests/test_layers.py` holds every import against this table, and the cache uses it too: the key of a stage covers
+all code that the stage's layer can reach, so an edit there re-runs the stage and no other.
+"""
+
+LAYERS: dict[str, tuple[str, ...]] = {
+    "geometry": (),
+    "mechanics": ("geometry",),
+    "imaging": ("geometry",),
+    "pipeline": ("geometry", "mechanics", "imaging"),
+    "cli": ("pipeline",),
+}
+"""Layer -> the other layers it may import. `xfemnav.errors` is open to all."""
