@@ -1,8 +1,4 @@
-"""The layers of the code: which part may import which.
-
-`tests/test_layers.py` holds every import against this table, and the cache uses it too: the key of a stage covers
-all code that the stage's layer can reach, so an edit there re-runs the stage and no other.
-"""
+"""Which directory may import which: the one table behind the layer test and the cache keys."""
 
 LAYERS: dict[str, tuple[str, ...]] = {
     "geometry": (),
@@ -11,4 +7,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "pipeline": ("geometry", "mechanics", "imaging"),
     "cli": ("pipeline",),
 }
-"""Layer -> the other layers it may import. `xfemnav.errors` is open to all."""
+
+
+def reach(layer: str) -> tuple[str, ...]:
+    """`layer` and all layers below it, sorted: the code that a function of `layer` can run."""
+    below = {layer}
+    for lower in LAYERS[layer]:
+        below.update(reach(lower))
+    return tuple(sorted(below))

@@ -1,0 +1,70 @@
+"""Content keys: what a stage's result depends on, as one sha256.
+
+A key covers the stage's parameters, the content of its inputs, the code that its layer can reach, and the versions
+of the numeric libraries. Paths, times and thread counts are not in it.
+"""
+
+import hashlib
+import json
+from dataclasses import fields, is_dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+from xfemnav.pipeline.layers import reach
+
+PACKAGE = Path(__file__).parents[1]
+# Every stage runs through these three, whatever its layer.
+COMMON_CODE = ("errors.py", "pipeline/stages.py", "pipeline/store.py")
+
+
+def plain(value):
+    """`value` as JSON types: dataclasses become objects, tuples become lists."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, dict):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value
+
+
+def canonical(value) -> bytes:
+    """The one JSON text of `value`: sorted names, no spaces, no NaN. Equal values give equal bytes."""
+    return json.dumps(plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def digest(value) -> str:
+    """sha256 of the canonical JSON of `value`."""
+    return hashlib.sha256(canonical(value)).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """sha256 of a file's bytes."""
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def code_digest(layer: str, root: Path = PACKAGE) -> str:
+    """sha256 over the source of every module that `layer` can reach (table `LAYERS`)."""
+    sources = [root / name for name in COMMON_CODE]
+    for below in reach(layer):
+        sources.extend((root / below).rglob("*.py"))
+    return digest({source.relative_to(root).as_posix(): file_digest(source) for source in sources})
+
+
+@cache
+def library_versions(names: tuple[str, ...]) -> dict[str, str]:
+    """Installed versions of `names`, read from their metadata: nothing is imported."""
+    return {name: version(name) for name in names}
+
+
+def stage_key(stage: str, layer: str, params, inputs: dict[str, str], libraries: tuple[str, ...]) -> str:
+    """Key of one stage: `params` is its frozen dataclass, `inputs` maps each input to the digest of its content."""
+    return digest({
+        "stage": stage,
+        "params": params,
+        "inputs": inputs,
+        "code": code_digest(layer),
+        "libraries": library_versions(libraries),
+    })
