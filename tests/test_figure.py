@@ -1,0 +1,139 @@
+"""The figure: what is drawn where, the patient's sides, the lips' names, and bytes that depend on the data alone."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from scipy.spatial import Delaunay
+
+from xfemnav.geometry.mesh import Mesh
+from xfemnav.pipeline import figure
+
+RADIUS, MOUTH, TIP = 60.0, np.array([0.0, 60.0]), np.array([0.0, 20.0])
+
+
+def cut(*path):
+    return SimpleNamespace(path=np.array(path, float))
+
+
+def enriched(heaviside_nodes, tip_nodes):
+    return SimpleNamespace(heaviside_nodes=np.array(heaviside_nodes, int), tip_nodes=np.array(tip_nodes, int))
+
+
+def opened(points):
+    """A smooth stand-in for a retraction, (n, 2) -> (n, 2) mm: the lips of the cut x = 0, y > 20 part by up to 6 mm."""
+    x, y = points.T
+    opening = 3 * np.sqrt(np.clip((y - TIP[1]) / 40, 0, None)) * np.exp(-np.abs(x) / 15)
+    return np.stack([np.where(x > 0, opening, -opening), 0 * y], axis=1)
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Slice, mask, problem, solution and update of a disc with a straight cut from its top, made without the solver."""
+    first, second = np.meshgrid(np.arange(-78, 79, 2.0), np.arange(-70, 71, 2.5), indexing="ij")
+    radius = np.hypot(first, second)
+    mask = radius < RADIUS
+    values = np.where(mask, 500 + 200 * np.cos(first / 6) * np.cos(second / 9), 900.0 * (radius < 68))
+    plane = SimpleNamespace(values=values, origin=np.array([-78.0, -70.0]), spacing=np.array([2.0, 2.5]),
+                            axes=np.eye(3), offset=18.0, plane="axial")
+    ring = RADIUS * np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 73)[:-1]), np.sin(t)], axis=1)
+    grid = np.stack(np.meshgrid(np.arange(-56.5, 57, 4.5), np.arange(-56.5, 57, 4.5)), axis=-1).reshape(-1, 2)
+    points = np.concatenate([ring, grid[np.linalg.norm(grid, axis=1) < RADIUS - 3]])
+    mesh = Mesh(points, (cells := Delaunay(points).simplices)[:, ::1])
+    near, height = np.abs(points[:, 0]) < 5, points[:, 1]
+    enrichment = enriched(np.flatnonzero(near & (height > 25)), np.flatnonzero(near & (np.abs(height - 20) < 5)))
+    problem = SimpleNamespace(mesh=mesh, cuts=(cut(MOUTH, TIP),), enrichment=enrichment)
+    rest = points[cells]
+    inward = rest + 1e-6 * (rest.mean(axis=1, keepdims=True) - rest)
+    solution = SimpleNamespace(rest=rest, moved=rest + opened(inward.reshape(-1, 2)).reshape(rest.shape))
+    field = np.where(mask[..., None], 0.0, np.nan)
+    cavity = mask & (np.abs(first) < 3) & (second > 25)
+    field[cavity] = np.nan
+    nowhere = np.zeros_like(mask)
+    update = SimpleNamespace(updated=np.where(cavity, 0, values), cavity=cavity, overlap=nowhere, field=field)
+    return plane, mask, problem, solution, update
+
+
+def test_same_data_same_bytes(run, tmp_path):
+    first = figure.draw_figure(tmp_path / "a.png", *run).read_bytes()
+    with matplotlib.rc_context({"font.size": 30, "image.origin": "upper", "axes.facecolor": "red"}):
+        second = figure.draw_figure(tmp_path / "b.png", *run).read_bytes()
+    assert first == second, "the user's own matplotlib settings changed the figure"
+    assert first.startswith(b"\x89PNG")
+    assert b"Software" not in first and b"tIME" not in first
+
+
+def test_a_pixel_is_drawn_at_its_place_in_the_plane(run):
+    plane = run[0]
+    values = np.zeros(plane.values.shape)
+    values[50, 10] = 1.0
+    panel = Figure().subplots()
+    figure._draw_grey(panel, plane, values, (0, 1))
+    image = panel.images[0]
+    row, column = np.argwhere(np.asarray(image.get_array()) == 1)[0]
+    west, east, south, north = image.get_extent()
+    shown = [west + (column + 0.5) / values.shape[0] * (east - west),
+             south + (row + 0.5) / values.shape[1] * (north - south)]
+    np.testing.assert_allclose(shown, plane.origin + plane.spacing * [50, 10], rtol=0, atol=1e-9)
+    assert image.origin == "lower" and panel.get_ylim()[0] < panel.get_ylim()[1], "e2 points upwards"
+
+
+@pytest.mark.parametrize("travel, left", [((0, -1), (1, 0)), ((0, 1), (-1, 0)), ((1, 0), (0, 1)), ((-1, 0), (0, -1))])
+def test_left_is_left_when_walking_from_the_mouth_to_the_tip(travel, left):
+    panel = Figure().subplots()
+    figure._name_lips(panel, cut((0, 0), travel), 10, "black", "white")
+    offsets = {text.get_text(): np.array(text.xyann) for text in panel.texts}
+    np.testing.assert_allclose(offsets["left"] / np.linalg.norm(offsets["left"]), left, atol=1e-12)
+    np.testing.assert_allclose(offsets["right"], -offsets["left"], atol=1e-12)
+
+
+@pytest.mark.parametrize("axis, ends", [((1, 0, 0), "LR"), ((0, 1, 0), "PA"), ((0, 0, 1), "IS"), ((-1, 0, 0), "RL"),
+                                        ((0, 0.9, 0.43), "PA")])
+def test_letters_of_the_patients_sides(axis, ends):
+    assert figure._ends(np.array(axis)) == ends
+
+
+def test_caption_says_how_the_slice_is_shown():
+    def caption(plane, e1, e2):
+        axes = np.stack([np.eye(3)[e1], np.eye(3)[e2], np.cross(np.eye(3)[e1], np.eye(3)[e2])])
+        return figure._caption(SimpleNamespace(plane=plane, offset=1.0, axes=axes))
+
+    assert "neurological display, the patient's right is on the right, anterior at the top" in caption("axial", 0, 1)
+    assert "neurological display, the patient's right is on the right, superior at the top" in caption("coronal", 0, 2)
+    assert "; anterior is on the right, superior at the top" in caption("sagittal", 1, 2)
+
+
+def test_close_view_holds_every_cut_in_the_shape_of_the_whole():
+    whole = np.array([[-70.0, -90.0], [70.0, 90.0]])
+    cuts = [cut((0, 80), (5, 40)), cut((30, 60), (20, 50))]
+    close = figure._box_of_cuts(cuts, whole)
+    points = np.concatenate([each.path for each in cuts])
+    assert (points >= close[0]).all() and (points <= close[1]).all()
+    np.testing.assert_allclose((close[1] - close[0])[1] / (close[1] - close[0])[0], 180 / 140)
+    assert figure._box_of_cuts([], whole) is whole
+
+
+def test_grey_window_reaches_below_zero_only_for_images_that_do(run):
+    plane, mask = run[:2]
+    assert figure._window(plane, mask)[0] == 0
+    scores = SimpleNamespace(values=plane.values - 500)
+    assert figure._window(scores, mask)[0] < 0 < figure._window(scores, mask)[1]
+
+
+def test_overlap_is_drawn_and_a_run_without_cut_too(run, tmp_path):
+    plane, mask, problem, solution, update = run
+    twice = SimpleNamespace(**{**vars(update), "overlap": update.cavity})
+    none = SimpleNamespace(mesh=problem.mesh, cuts=(), enrichment=enriched([], []))
+    plain = figure.draw_figure(tmp_path / "a.png", plane, mask, problem, solution, update).read_bytes()
+    assert figure.draw_figure(tmp_path / "b.png", plane, mask, problem, solution, twice).read_bytes() != plain
+    assert figure.draw_figure(tmp_path / "c.png", plane, mask, none, solution, update).stat().st_size > 10_000
+
+
+def test_pyplot_is_never_imported():
+    """pyplot looks for a display and keeps global state; a figure of its own needs neither."""
+    code = "import sys, xfemnav.pipeline.figure; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -1,0 +1,143 @@
+"""The house rules that a machine can hold: who imports whom, where foreign packages live, what the wheel carries."""
+
+import ast
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from xfemnav.pipeline.layers import LAYERS, reach
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = sorted((ROOT / "xfemnav").rglob("*.py")) + sorted((ROOT / "cli").rglob("*.py"))
+EVERYWHERE = set(LAYERS)
+
+# Third-party package -> the layers that may import it. A package that is not listed may be imported nowhere.
+HOMES = {
+    "numpy": EVERYWHERE - {"cli"},
+    "scipy": EVERYWHERE - {"cli"},
+    "numba": {"geometry", "mechanics", "imaging"},
+    "shapely": {"geometry", "imaging"},
+    "nibabel": {"imaging"},
+    "SimpleITK": {"imaging"},
+    "skimage": {"imaging"},
+    "meshio": {"pipeline"},
+    "matplotlib": {"pipeline"},
+    "jinja2": {"pipeline"},
+    "pydantic": {"pipeline"},
+    "rich": {"cli"},
+    "click": {"cli"},
+}
+FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "data_synthetic", "tests"}
+
+
+def layer_of(path: Path) -> str:
+    """'geometry', ..., 'cli', or 'root' for the modules beside the layers (`xfemnav.errors`, the public names)."""
+    parts = path.relative_to(ROOT).parts
+    if parts[0] == "cli":
+        return "cli"
+    return parts[1] if len(parts) > 2 else "root"
+
+
+def imports(source: str):
+    """Every module that `source` imports, wherever the statement stands: (dotted name, line)."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            if node.level:
+                raise ValueError(f"line {node.lineno}: relative import")
+            yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+
+
+def own_layer(module: str) -> str | None:
+    """The layer of an imported module of this project, 'root' for what all may import, None for foreign modules."""
+    first, *rest = module.split(".")
+    if first in ("xfemnav_cli", "cli"):
+        return "cli"
+    if first != "xfemnav":
+        return None
+    return rest[0] if rest and rest[0] in LAYERS else "root"
+
+
+def faults(layer: str, source: str) -> list[str]:
+    """What `source`, a module of `layer`, imports against the rules."""
+    found = []
+    for module, line in imports(source):
+        first, own = module.split(".")[0], own_layer(module)
+        if first in FORBIDDEN:
+            found.append(f"line {line}: {first} is never imported")
+        elif own is not None:
+            # The public names at the root are the Python face of the pipeline; whoever imports them depends on it.
+            allowed = {"root", *reach(layer)} if layer != "root" else {"root", "pipeline"}
+            if own not in allowed:
+                found.append(f"line {line}: {layer} must not import {module}")
+        elif first not in sys.stdlib_module_names and layer not in HOMES.get(first, ()):
+            found.append(f"line {line}: {first} has no place in {layer}")
+    return found
+
+
+@pytest.mark.parametrize("path", PACKAGE, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_keep_to_the_layers(path):
+    assert faults(layer_of(path), path.read_text()) == []
+
+
+@pytest.mark.parametrize("layer, source", [
+    ("mechanics", "from xfemnav.imaging.warp import pull_back"),
+    ("imaging", "import xfemnav.mechanics.solution"),
+    ("geometry", "def f():\n    from xfemnav.pipeline import store"),
+    ("pipeline", "from xfemnav_cli.main import main"),
+    ("pipeline", "import nibabel.nifti1"),
+    ("mechanics", "from skimage.measure import label"),
+    ("cli", "import numpy as np"),
+    ("geometry", "import click"),
+    ("imaging", "import cv2"),
+    ("pipeline", "import pickle"),
+    ("cli", "from data_synthetic.phantom import slice_a"),
+])
+def test_the_check_sees_a_wrong_import(layer, source):
+    assert len(faults(layer, source)) == 1
+
+
+def test_the_table_is_the_design():
+    """geometry <- mechanics, geometry <- imaging, all <- pipeline <- cli; mechanics and imaging never meet."""
+    assert reach("mechanics") == ("geometry", "mechanics")
+    assert reach("imaging") == ("geometry", "imaging")
+    assert set(reach("cli")) == EVERYWHERE
+    folders = {path.name for path in (ROOT / "xfemnav").iterdir() if (path / "__init__.py").exists()}
+    assert folders | {"cli"} == EVERYWHERE
+
+
+@pytest.mark.parametrize("path", PACKAGE, ids=lambda path: str(path.relative_to(ROOT)))
+def test_no_array_is_unpickled(path):
+    """numpy refuses pickled objects unless it is asked to: nobody asks."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+            assert isinstance(node.value, ast.Constant) and node.value.value is False, f"line {node.value.lineno}"
+
+
+def test_importing_the_packages_imports_no_numerics():
+    """`import xfemnav` and every package of it cost nothing: numpy alone would take longer than `--help` may."""
+    names = ["xfemnav", *(f"xfemnav.{layer}" for layer in LAYERS if layer != "cli"), "xfemnav.errors", "xfemnav_cli"]
+    code = f"import sys, {', '.join(names)}; print(*({set(HOMES) - {'click', 'rich'}} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
+@pytest.mark.slow
+def test_wheel_claims_no_foreign_name(tmp_path):
+    """The wheel installs `xfemnav` and `xfemnav_cli` alone: a top-level `cli` would claim that name for everyone."""
+    copy = tmp_path / "source"  # a build leaves files in the folder that it reads
+    for name in ("xfemnav", "cli"):
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, copy)
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(copy)], check=True)
+    with zipfile.ZipFile(next(tmp_path.glob("xfemnav-*.whl"))) as wheel:
+        shipped = {name for name in wheel.namelist() if ".dist-info/" not in name}
+    data = [path for end in ("*.html", "*.json") for path in (ROOT / "xfemnav").rglob(end)]
+    sources = {path.relative_to(ROOT).as_posix() for path in [*PACKAGE, *data]}
+    assert shipped == {f"xfemnav_{name}" if name.startswith("cli/") else name for name in sources}

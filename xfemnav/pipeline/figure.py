@@ -1,0 +1,209 @@
+"""The run in one picture: the four panels of the paper's Fig. 2, its Fig. 1, and the displacement.
+
+Everything is drawn in the slice's plane coordinates (mm), e1 to the right and e2 upwards, so nothing is mirrored: left
+of a cut is left on the screen too, and on axial and coronal slices the patient's right is on the right. The same data
+give the same bytes: matplotlib's own defaults and font, no date, no software version.
+"""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+
+PANEL_IN, DPI = 4.1, 150     # width of a panel, and dots an inch
+MARGIN_MM = 10.0             # shown around the organ, and around the cuts in the close view
+CUT, HEAVISIDE, TIP, OVERLAP = "#ffd21f", "#0b62a8", "#d1410c", "#ff3030"
+SIDES = ("LR", "PA", "IS")   # letters at the negative and positive ends of the three RAS axes
+NAMES = {"R": "the patient's right", "L": "the patient's left", "A": "anterior", "P": "posterior", "S": "superior",
+         "I": "inferior"}
+
+
+def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
+    """Write the six panels as a PNG at `path`, and return it.
+
+    `slice` is an imaging Slice and `mask` bool (n1, n2) on its grid; `problem` and `solution` are those of mechanics;
+    `update` is the result of the warp on the same grid. Only their attributes are read.
+    """
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        whole = _box_of_organ(slice, mask)
+        close = _box_of_cuts(problem.cuts, whole)
+        width, height = whole[1] - whole[0]
+        size = (3 * PANEL_IN, 2 * PANEL_IN * np.clip(height / width, 0.6, 1.5) + 1.3)
+        figure = Figure(size, DPI, layout="constrained")
+        a, b, c, d, e, f = figure.subplots(2, 3).ravel()
+        grey = _window(slice, mask)
+        _preoperative(a, slice, problem, grey)
+        _mask(b, slice, mask, problem)
+        _mesh(c, problem)
+        _updated(d, slice, update, grey)
+        _enrichment(e, problem, close)
+        _displacement(f, solution)
+        for panel, ink in zip((a, b, c, d, e, f), ("white", "white", "black", "white", "black", "black")):
+            box = close if panel is e else whole
+            panel.set(xlim=box[:, 0], ylim=box[:, 1], xticks=[], yticks=[], aspect="equal")
+            _letters(panel, slice, ink)
+            _scale_bar(panel, box, ink)
+        figure.supxlabel(_caption(slice), fontsize=9)
+        figure.savefig(path, format="png", metadata={"Software": None})
+    return path
+
+
+# The panels ----------------------------------------------------------------------------------------------------------
+
+def _preoperative(panel, slice, problem, grey):
+    """Fig. 2 (a): the slice as it was scanned, with the cut."""
+    panel.set_title("(a) preoperative slice with the cut")
+    _draw_grey(panel, slice, slice.values, grey)
+    for cut in problem.cuts:
+        _draw_cut(panel, cut, CUT, "black")
+        _name_lips(panel, cut, 10, CUT, "black")
+
+
+def _mask(panel, slice, mask, problem):
+    """Fig. 2 (b): the organ, a binary image."""
+    panel.set_title("(b) mask")
+    _draw_grey(panel, slice, mask, (0, 1))
+    for cut in problem.cuts:
+        _draw_cut(panel, cut, TIP, "white")
+
+
+def _mesh(panel, problem):
+    """Fig. 2 (c): the mesh, which knows nothing of the cut."""
+    mesh = problem.mesh
+    panel.set_title(f"(c) mesh: {len(mesh.points)} nodes, {len(mesh.cells)} triangles")
+    panel.add_collection(LineCollection(mesh.points[mesh.edges], colors="0.5", linewidths=0.3))
+    for cut in problem.cuts:
+        _draw_cut(panel, cut, "black", "white")
+
+
+def _updated(panel, slice, update, grey):
+    """Fig. 2 (d): the slice as it is now, tissue only, in the grey window of (a)."""
+    panel.set_title("(d) updated slice, masked")
+    _draw_grey(panel, slice, np.where(np.isfinite(update.field).all(axis=2), update.updated, np.nan), grey)
+    if update.overlap.any():
+        lines = [o + s * np.arange(n) for o, s, n in zip(slice.origin, slice.spacing, slice.values.shape)]
+        panel.contour(*lines, update.overlap.T, levels=[0.5], colors=OVERLAP, linewidths=1.0)
+        panel.set_title("(d) updated slice, masked; red: lips overlap")
+
+
+def _enrichment(panel, problem, box):
+    """The paper's Fig. 1 on this mesh: circles are set J, squares set K."""
+    mesh, J, K = problem.mesh, problem.enrichment.heaviside_nodes, problem.enrichment.tip_nodes
+    panel.set_title("(e) the cut and its enriched nodes")
+    panel.add_collection(LineCollection(mesh.points[mesh.edges], colors="0.65", linewidths=0.5))
+    for cut in problem.cuts:
+        _draw_cut(panel, cut, "black", "white")
+        _name_lips(panel, cut, 24, "black", "white")
+    h = np.median(mesh.sizes[np.isin(mesh.cells, np.concatenate([J, K])).any(axis=1)]) if len(J) + len(K) else 1.0
+    size = float(np.clip(0.5 * h * 72 * PANEL_IN / (box[1, 0] - box[0, 0]), 2.0, 9.0))   # half an element, in points
+    style = dict(ls="none", mfc="none", ms=size, mew=0.9, zorder=5)
+    panel.plot(*mesh.points[J].T, marker="o", mec=HEAVISIDE, label=f"set J: {len(J)} nodes, H (Eq. 2)", **style)
+    panel.plot(*mesh.points[K].T, marker="s", mec=TIP, label=f"set K: {len(K)} nodes, $F_1$..$F_4$ (Eq. 3)", **style)
+    panel.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, fontsize=8, frameon=False,
+                 markerscale=6 / size, handletextpad=0.2, columnspacing=1.0)
+
+
+def _displacement(panel, solution):
+    """How far the tissue has moved, drawn where it is now; exact, for the map is affine on each triangle."""
+    moved = np.linalg.norm(solution.moved - solution.rest, axis=2).ravel()
+    panel.set_title(f"(f) displacement in mm, at most {moved.max():.1f}")
+    corners = solution.moved.reshape(-1, 2)
+    triangles = np.arange(len(corners)).reshape(-1, 3)
+    colours = panel.tripcolor(*corners.T, moved, triangles=triangles, shading="gouraud", vmin=0)
+    scale = panel.inset_axes([0.15, -0.04, 0.7, 0.025])
+    panel.figure.colorbar(colours, cax=scale, orientation="horizontal")
+
+
+# What the panels share -----------------------------------------------------------------------------------------------
+
+def _draw_grey(panel, slice, values, window):
+    """Image (n1, n2) in plane coordinates: the slice's origin is the centre of pixel (0, 0)."""
+    low = slice.origin - slice.spacing / 2
+    high = low + values.shape * slice.spacing
+    panel.set_facecolor("black")
+    panel.imshow(values.T, cmap="gray", vmin=window[0], vmax=window[1], interpolation="nearest",
+                 origin="lower", extent=(low[0], high[0], low[1], high[1]))
+
+
+def _draw_cut(panel, cut, colour, halo):
+    panel.plot(*cut.path.T, color=colour, lw=1.8, solid_capstyle="butt", path_effects=_halo(3, halo))
+
+
+def _name_lips(panel, cut, gap, colour, halo):
+    """'left' and 'right', `gap` points beside the lips: left when walking from the mouth to the tip."""
+    start, end = cut.path[0], cut.path[-1]
+    along = (end - start) / np.linalg.norm(end - start)
+    left = np.array([-along[1], along[0]])
+    for name, side in (("left", left), ("right", -left)):
+        panel.annotate(name, start + 0.3 * (end - start), gap * side, textcoords="offset points", color=colour,
+                       ha=_alignment(side[0], "right", "left"), va=_alignment(side[1], "top", "bottom"),
+                       path_effects=_halo(2.5, halo))
+
+
+def _alignment(component, negative, positive):
+    """Text alignment that keeps a label on its own side of the cut."""
+    return positive if component > 0.3 else negative if component < -0.3 else "center"
+
+
+def _letters(panel, slice, ink):
+    """Letters of the patient's sides at the edges of the panel."""
+    (west, east), (south, north) = _ends(slice.axes[0]), _ends(slice.axes[1])
+    paper = "black" if ink == "white" else "white"
+    for x, y, ha, va, letter in ((0.02, 0.5, "left", "center", west), (0.98, 0.5, "right", "center", east),
+                                 (0.5, 0.01, "center", "bottom", south), (0.5, 0.99, "center", "top", north)):
+        panel.text(x, y, letter, ha=ha, va=va, transform=panel.transAxes, color=ink, fontweight="bold",
+                   path_effects=_halo(2, paper))
+
+
+def _halo(width, colour):
+    return [withStroke(linewidth=width, foreground=colour)]
+
+
+def _ends(axis) -> str:
+    """Letters of the patient's sides where a unit vector (3,), RAS, starts and ends: 'LR' for e1 of an axial slice."""
+    k = int(np.argmax(np.abs(axis)))
+    return SIDES[k] if axis[k] > 0 else SIDES[k][::-1]
+
+
+def _scale_bar(panel, box, ink):
+    """A bar of a round length, about a seventh of the panel, in the lower left corner."""
+    width, height = box[1] - box[0]
+    mm = max((length for length in (1, 2, 5, 10, 20, 50) if length <= width / 6), default=1)
+    x, y = box[0] + 0.04 * width
+    halo = _halo(5, "black" if ink == "white" else "white")
+    panel.plot([x, x + mm], [y, y], color=ink, lw=3, solid_capstyle="butt", path_effects=halo)
+    panel.text(x + mm / 2, y + 0.015 * height, f"{mm} mm", color=ink, ha="center", fontsize=9, path_effects=halo)
+
+
+def _caption(slice) -> str:
+    east, north = _ends(slice.axes[0])[1], _ends(slice.axes[1])[1]
+    convention = "neurological display, " if east == "R" else ""
+    return (f"{slice.plane} slice at {slice.offset:.1f} mm; {convention}{NAMES[east]} is on the right, {NAMES[north]} "
+            "at the top; left and right of a cut as seen from its mouth. Research use only, not a medical device.")
+
+
+def _window(slice, mask) -> tuple[float, float]:
+    """Grey window that (a) and (d) share: from 0, or below if the organ reaches there, to its 99.5 % quantile."""
+    low, high = np.percentile(slice.values[mask], [0.5, 99.5])
+    return min(low, 0.0), max(high, low + 1e-9)
+
+
+def _box_of_organ(slice, mask):
+    """Corners (2, 2) mm of the part of the slice to show."""
+    pixels = np.argwhere(mask)
+    return slice.origin + slice.spacing * [pixels.min(axis=0), pixels.max(axis=0)] + [[-MARGIN_MM], [MARGIN_MM]]
+
+
+def _box_of_cuts(cuts, whole):
+    """Corners (2, 2) mm of the closest view on all cuts that has the shape of `whole`; `whole` itself without cuts."""
+    if not cuts:
+        return whole
+    points = np.concatenate([cut.path for cut in cuts])
+    shape = whole[1] - whole[0]
+    half = shape / 2 * ((np.ptp(points, axis=0) + 2 * MARGIN_MM) / shape).max()
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return np.array([middle - half, middle + half])
