@@ -57,11 +57,14 @@ def distmesh(outline, size: float | Callable, *, min_quality: float = 0.5) -> Me
 
 def expected_nodes(outline, wanted: Callable) -> float:
     """Estimate of the number of nodes: one for each 3^.5/2 h^2 of area, and half a node for each h of outline."""
-    low, high = outline.min(axis=0), outline.max(axis=0) n = 160 centres = low + (np.stack(np.meshgrid(np.arange(n),
-    np.arange(n)), axis=-1).reshape(-1, 2) + 0.5) / n * (high - low) h = wanted(centres[is_inside(centres, outline)])
-    area, length = shapely.Polygon(outline).area, np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1)
-    interior = area * np.mean(1 / h**2) / (np.sqrt(3) / 2) if len(h) else 0.0 return float(interior + np.sum(length /
-    wanted(outline)) / 2)
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    n = 160
+    grid = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2)
+    centres = low + (grid + 0.5) / n * (high - low)
+    h = wanted(centres[is_inside(centres, outline)])
+    length = np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1)
+    interior = shapely.Polygon(outline).area * np.mean(1 / h**2) / (np.sqrt(3) / 2) if len(h) else 0.0
+    return float(interior + np.sum(length / wanted(outline)) / 2)
 
 
 def _checked(outline) -> np.ndarray:

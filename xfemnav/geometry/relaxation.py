@@ -73,9 +73,10 @@ def _step(p, move, cells, h, n_fixed):
     while undone:  # each pass brings back at least one node, so there are at most n
         undone = False
         for t in range(len(cells)):
-            a, b, c = cells[t] new = (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[b, 1] - p[a, 1]) * (p[c, 0] - p[a,
-            0]) was = (old[b, 0] - old[a, 0]) * (old[c, 1] - old[a, 1]) - (old[b, 1] - old[a, 1]) * (old[c, 0] -
-            old[a, 0]) if new < FLAT * was:
+            a, b, c = cells[t]
+            new = (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[b, 1] - p[a, 1]) * (p[c, 0] - p[a, 0])
+            was = (old[b, 0] - old[a, 0]) * (old[c, 1] - old[a, 1]) - (old[b, 1] - old[a, 1]) * (old[c, 0] - old[a, 0])
+            if new < FLAT * was:
                 for k in (a, b, c):
                     if p[k, 0] != old[k, 0] or p[k, 1] != old[k, 1]:
                         p[k, 0], p[k, 1] = old[k, 0], old[k, 1]
