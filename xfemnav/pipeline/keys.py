@@ -14,8 +14,8 @@ from pathlib import Path
 from xfemnav.pipeline.layers import reach
 
 PACKAGE = Path(__file__).parents[1]
-# Every stage runs through these three, whatever its layer.
-COMMON_CODE = ("errors.py", "pipeline/stages.py", "pipeline/store.py")
+# Every stage runs through these, whatever its layer.
+COMMON_CODE = ("errors.py", "pipeline/stages.py", "pipeline/store.py", "pipeline/files.py")
 
 
 def plain(value):

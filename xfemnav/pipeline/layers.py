@@ -1,4 +1,8 @@
-"""Which directory may import which: the one table behind the layer test and the cache keys."""
+"""The layers of the code: which part may import which.
+
+`tests/test_layers.py` holds every import against this table, and the cache uses it too: the key of a stage covers
+all code that the stage's layer can reach, so an edit there re-runs the stage and no other.
+"""
 
 LAYERS: dict[str, tuple[str, ...]] = {
     "geometry": (),
@@ -7,6 +11,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "pipeline": ("geometry", "mechanics", "imaging"),
     "cli": ("pipeline",),
 }
+"""Layer -> the other layers it may import. `xfemnav.errors` is open to all."""
 
 
 def reach(layer: str) -> tuple[str, ...]:

@@ -1,0 +1,192 @@
+"""The cache on toy entries: hits, misses, healing, concurrency and death at any moment."""
+
+import os
+import random
+import signal
+import time
+import warnings
+
+import pytest
+
+from xfemnav.errors import XfemnavError, XfemnavWarning
+from xfemnav.pipeline.cache import Cache
+from xfemnav.pipeline.keys import PACKAGE, canonical, code_digest, digest
+
+KEY = digest("toy")
+PAYLOAD = bytes(range(256)) * 8
+
+
+def build(folder):
+    (folder / "public").mkdir()
+    (folder / "value.npz").write_bytes(PAYLOAD)
+    (folder / "public" / "mask.nii.gz").write_bytes(PAYLOAD[::-1])
+
+
+def refuse(folder):
+    raise AssertionError("computed again")
+
+
+def read(entry):
+    return (entry.folder / "value.npz").read_bytes(), (entry.folder / "public" / "mask.nii.gz").read_bytes()
+
+
+def test_second_time_is_cached_and_never_computed(tmp_path):
+    entry, status = Cache(tmp_path).obtain(KEY, build)
+    again, cached = Cache(tmp_path).obtain(KEY, refuse)
+    assert (status, cached) == ("ran", "cached")
+    assert read(entry) == read(again) == (PAYLOAD, PAYLOAD[::-1])
+    assert entry.content("value.npz") == again.content("value.npz")
+
+
+def test_force_computes_again(tmp_path):
+    cache = Cache(tmp_path)
+    cache.obtain(KEY, build)
+    assert cache.obtain(KEY, build, force=True)[1] == "ran"
+    with pytest.raises(AssertionError):
+        cache.obtain(KEY, refuse, force=True)
+    assert cache.obtain(KEY, refuse)[1] == "cached"  # the failed attempt left the good entry alone
+
+
+def test_every_bit_flip_heals(tmp_path):
+    """200 random single-bit flips over all bytes of an entry, its manifest too: found, set aside, made anew (W601)."""
+    rng, cache = random.Random(0), Cache(tmp_path)
+    entry, _ = cache.obtain(KEY, build)
+    files = sorted(path for path in entry.folder.rglob("*") if path.is_file())
+    for _ in range(200):
+        path = rng.choice(files)
+        data = bytearray(path.read_bytes())
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        path.write_bytes(data)
+        with pytest.warns(XfemnavWarning, match="W601"):
+            healed, status = cache.obtain(KEY, build)
+        assert status == "healed" and read(healed) == (PAYLOAD, PAYLOAD[::-1])
+    assert len(list((tmp_path / "damaged").iterdir())) == 200
+
+
+@pytest.mark.parametrize("harm", ["truncate", "remove", "add", "no manifest", "empty manifest"])
+def test_other_damage_heals(tmp_path, harm):
+    cache = Cache(tmp_path)
+    folder = cache.obtain(KEY, build)[0].folder
+    match harm:
+        case "truncate":
+            os.truncate(folder / "value.npz", 100)
+        case "remove":
+            (folder / "value.npz").unlink()
+        case "add":
+            (folder / "stranger").write_text("x")
+        case "no manifest":
+            (folder / "manifest.json").unlink()
+        case "empty manifest":
+            (folder / "manifest.json").write_text("")
+    with pytest.warns(XfemnavWarning, match="W601"):
+        assert cache.obtain(KEY, build)[1] == "healed"
+
+
+def test_entry_moved_under_another_key_is_not_believed(tmp_path):
+    """Row 47: the key is in the manifest, so that a swapped or rolled-back entry heals."""
+    cache, other = Cache(tmp_path), digest("other")
+    folder = cache.obtain(KEY, build)[0].folder
+    target = cache.root / "entries" / other[:2] / other
+    target.parent.mkdir(exist_ok=True)
+    folder.rename(target)
+    with pytest.warns(XfemnavWarning, match="W601"):
+        assert cache.obtain(other, build)[1] == "healed"
+
+
+def test_verify_sets_damaged_entries_aside_and_prune_empties(tmp_path):
+    cache = Cache(tmp_path)
+    (cache.obtain(KEY, build)[0].folder / "value.npz").write_bytes(b"?")
+    good = cache.obtain(digest("good"), build)[0]
+    assert cache.set_aside_damaged() == [KEY] and cache.keys() == [good.key]
+    assert cache.prune(older_than_s=3600)[0] == 0 and cache.keys() == [good.key]
+    assert cache.prune(older_than_s=0)[0] == 1 and cache.keys() == []
+
+
+def test_prune_waits_for_no_running_run(tmp_path, monkeypatch):
+    cache = Cache(tmp_path)
+    with cache.in_use(), pytest.raises(XfemnavError, match="E503"):
+        Cache(tmp_path).prune(0)
+
+
+def test_root_that_cannot_be_made_is_refused_with_its_code(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(XfemnavError, match="E502"):
+        Cache(tmp_path / "file" / "cache")
+
+
+def test_full_disk_leaves_nothing_behind(tmp_path):
+    """Row 40, with the kernel's own ENOSPC from /dev/full."""
+    cache = Cache(tmp_path)
+
+    def build_on_full_disk(folder):
+        (folder / "value.npz").write_bytes(PAYLOAD)
+        with open("/dev/full", "wb", buffering=0) as full:
+            full.write(b"x")
+
+    with pytest.raises(XfemnavError, match="E501"):
+        cache.obtain(KEY, build_on_full_disk)
+    assert not [path for path in (tmp_path / "entries").rglob("*") if path.is_file()]
+    assert cache.obtain(KEY, build)[1] == "ran"
+
+
+def write_forty(root):
+    """What each of the two concurrent writers does: 40 entries of 8 files."""
+    def build_parts(folder):
+        for i in range(8):
+            (folder / f"part-{i}").write_bytes(PAYLOAD * (i + 1))
+
+    cache = Cache(root)
+    return [cache.obtain(digest(n), build_parts)[1] for n in range(40)]
+
+
+def in_child(function, *arguments):
+    """Process id of a fork that runs `function` and leaves without the parent's clean-up."""
+    child = os.fork()
+    if child == 0:
+        function(*arguments)
+        os._exit(0)
+    return child
+
+
+def chaos(tmp_path, kills):
+    """Kill two concurrent writers at random moments, `kills` times; nothing that they leave may be wrong."""
+    rng = random.Random(1)
+    for n in range(kills // 2):
+        root = tmp_path / str(n % 4)
+        for child in [in_child(write_forty, root) for _ in range(2)]:
+            time.sleep(rng.uniform(0, 0.05))
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+        assert Cache(root).set_aside_damaged() == []
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for n in range(4):
+            assert len(write_forty(tmp_path / str(n))) == len(Cache(tmp_path / str(n)).keys()) == 40
+
+
+def test_kill_at_any_moment_leaves_no_wrong_entry(tmp_path):
+    chaos(tmp_path, 20)
+
+
+@pytest.mark.slow
+def test_kill_at_any_moment_leaves_no_wrong_entry_200_times(tmp_path):
+    chaos(tmp_path, 200)
+
+
+def test_canonical_json_has_one_text_for_equal_values():
+    assert canonical({"b": (1, 2.5), "a": None}) == canonical({"a": None, "b": [1, 2.5]}) == b'{"a":null,"b":[1,2.5]}'
+    with pytest.raises(ValueError):
+        canonical(float("nan"))
+
+
+def test_edited_code_changes_the_keys_of_the_layers_above_it(tmp_path):
+    """Row 48: a helper in mechanics concerns mechanics and what builds on it, not imaging."""
+    for source in PACKAGE.rglob("*.py"):
+        target = tmp_path / source.relative_to(PACKAGE)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(source.read_bytes())
+    layers = ("geometry", "imaging", "mechanics", "pipeline")
+    before = {layer: code_digest(layer, tmp_path) for layer in layers}
+    (tmp_path / "mechanics" / "__init__.py").write_text("# edited\n")
+    after = {layer: code_digest(layer, tmp_path) for layer in layers}
+    assert [layer for layer in layers if before[layer] != after[layer]] == ["mechanics", "pipeline"]

@@ -1,0 +1,60 @@
+"""Writing that survives a full disk, a read-only folder and `kill -9`: a file is there whole, or not at all."""
+
+import errno
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from xfemnav.errors import XfemnavError
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+TEMPORARY = ".xfemnav-tmp"  # ending of files that a killed run may leave; the next run removes them
+
+
+@contextmanager
+def writing(where: Path, what: str) -> Iterator[None]:
+    """Turn a full disk into E501 and any other refused write into E502; `what` names the thing that was written."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in FULL:
+            raise XfemnavError("E501", f"no space left while writing {what} in {where}. Finished stages are kept; "
+                                       "run the same command again after freeing space.") from error
+        raise XfemnavError("E502", f"cannot write {what} in {where}: {error.strerror}. "
+                                   "Give another folder with -o or -w.") from error
+
+
+def write_atomic(path: Path, data: bytes) -> None:
+    """Put `data` at `path` in one step: temporary sibling, fsync, rename, fsync of the folder."""
+    with writing(path.parent, path.name):
+        temporary = path.with_name(f".{os.getpid()}{TEMPORARY}")
+        try:
+            with open(temporary, "wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
+        sync(path.parent)
+
+
+def sync(path: Path) -> None:
+    """fsync a file or folder."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def remove_temporaries(folder: Path) -> None:
+    """Remove what a killed run left half-written in `folder`; call it only while holding the folder's lock."""
+    for left in folder.glob(f".*{TEMPORARY}"):
+        if left.is_dir():
+            shutil.rmtree(left)
+        else:
+            left.unlink()
