@@ -1,0 +1,44 @@
+# Every target runs from .venv, which the first one makes. Another interpreter: make test PYTHON=python3.12
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/installed
+
+.PHONY: help demo paper phantom batch test test-all lint docs bench clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+
+# Where the system's Python has no ensurepip, its own pip fills the new environment.
+$(INSTALLED): pyproject.toml
+	$(PYTHON) -m venv .venv || { $(PYTHON) -m venv --without-pip .venv && $(PYTHON) -m pip --python $(BIN)/python install -q pip; }
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[test]'
+	touch $@
+
+demo: $(INSTALLED)  ## the paper's experiment on a real MRI slice, with today's defaults
+	$(BIN)/xfemnav demo -o out/demo
+
+paper: $(INSTALLED)  ## the same with the paper's own choices: pointwise lips, uniform mesh, topological tip enrichment
+	$(BIN)/xfemnav demo -o out/paper --lip-constraint pointwise --corridor-mm 0 --tip-enrichment topological
+
+# GNU make keeps its -j in MAKEFLAGS; the runs are shared out by the command itself, so that one failure stops no other.
+batch: $(INSTALLED)  ## make batch IN=folder OUT=folder -j N: every slice of IN that has a <stem>.toml beside it
+	$(BIN)/xfemnav batch "$(IN)" "$(OUT)" -j $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),1)
+
+test: $(INSTALLED)  ## the tests that run in minutes
+	$(BIN)/python -m pytest -m "not slow" -n 2
+
+test-all: $(INSTALLED)  ## all tests, long batteries too
+	$(BIN)/python -m pytest -n 2
+
+lint: $(INSTALLED)  ## ruff
+	$(BIN)/ruff check .
+
+docs: $(INSTALLED)  ## write the generated pages and pictures again
+	$(BIN)/python -m xfemnav.pipeline.errordocs docs/errors.md
+
+bench: $(INSTALLED)  ## measurements beside other programs
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'
+	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done
+
+clean:  ## remove what the targets made, the environment too
+	rm -rf .venv build out .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -1,0 +1,112 @@
+"""`xfemnav batch IN OUT -j N`: every slice of a folder that has a scenario beside it, each in a process of its own."""
+
+import json
+import subprocess
+import sys
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from xfemnav.errors import EXIT_OK, EXIT_SOME_FAILED, EXIT_UNTRUSTED
+
+IMAGE_SUFFIXES = (".nii.gz", ".nii")
+
+
+@dataclass(frozen=True)
+class Item:
+    """One slice: its scenario `<stem>.toml`, its image `<stem>.nii.gz` or `.nii`, and its output folder."""
+
+    image: Path
+    scenario: Path
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of an item: exit status of its run, its stages {name: ran | cached | healed}, its last words."""
+
+    item: Item
+    exit_code: int
+    stages: dict[str, str]
+    message: str
+
+    @property
+    def result(self) -> str:
+        return {EXIT_OK: "updated", EXIT_UNTRUSTED: "untrusted"}.get(self.exit_code, "failed")
+
+    def row(self) -> str:
+        """One line of the summary: slice, result, how many stages ran and were cached, why it failed."""
+        cached = sum(status == "cached" for status in self.stages.values())
+        done = f"{len(self.stages) - cached} ran, {cached} cached" if self.stages else ""
+        return printable(f"{self.item.scenario.stem:<24} {self.result:<10} {done:<18} {self.message}".rstrip())
+
+
+def printable(text: str) -> str:
+    """`text` without control characters: a file name must not command the terminal."""
+    return "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in text)
+
+
+def find_items(source: Path, target: Path) -> list[Item]:
+    """Every scenario of `source` with an image of its name, in the order of their names."""
+    items = []
+    for scenario in sorted(source.glob("*.toml")):
+        candidates = [scenario.with_name(scenario.stem + suffix) for suffix in IMAGE_SUFFIXES]
+        items += [Item(image, scenario, target / scenario.stem) for image in candidates if image.is_file()][:1]
+    return items
+
+
+def run_item(item: Item, started: list[subprocess.Popen]) -> Outcome:
+    """Run one slice to its end. A crash, a signal or a full memory ends this process and no other."""
+    # Absolute paths: a name such as -x.nii must not look like an option.
+    arguments = [item.image.absolute(), "--scenario", item.scenario.absolute(), "-o", item.folder.absolute(), "-q"]
+    command = [sys.executable, "-m", "xfemnav_cli.main", "run", *map(str, arguments)]
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    started.append(process)
+    words = process.communicate()[1].decode(errors="replace").strip().splitlines()
+    succeeded = process.returncode in (EXIT_OK, EXIT_UNTRUSTED)
+    record = json.loads((item.folder / "run.json").read_text()) if succeeded else {"stages": []}
+    stages = {stage["name"]: stage["status"] for stage in record["stages"]}
+    message = "" if process.returncode == EXIT_OK else words[-1] if words else f"ended with status {process.returncode}"
+    return Outcome(item, process.returncode, stages, message)
+
+
+def run_items(items: list[Item], jobs: int) -> list[Outcome]:
+    """Run all items, `jobs` at a time, with a line for each as it ends; their outcomes in the order of `items`."""
+    started: list[subprocess.Popen] = []
+    with ThreadPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(run_item, item, started) for item in items]
+        try:
+            for number, done in enumerate(as_completed(waiting), 1):
+                click.echo(f"[{number}/{len(items)}] {done.result().row()}")
+        except BaseException:
+            # Ctrl-C and kill end the running slices too; their finished stages are in the cache.
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in started:
+                process.terminate()
+            raise
+    return [done.result() for done in waiting]
+
+
+@click.command()
+@click.argument("source", metavar="IN", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.argument("target", metavar="OUT", type=click.Path(file_okay=False, path_type=Path))
+@click.option("-j", "--jobs", type=click.IntRange(1), default=1, help="Slices at a time.")
+def batch(source: Path, target: Path, jobs: int):
+    """Run every slice of IN that has a <stem>.toml beside it into OUT/<stem>.
+
+    One failing slice never stops the others. Run again, finished work comes from the cache. Exit status 1 if any slice
+    failed or is not trustworthy.
+    """
+    items = find_items(source, target)
+    if not items:
+        raise click.UsageError(f"{printable(str(source))} holds no <stem>.nii.gz or .nii with a <stem>.toml beside it.")
+    outcomes = run_items(items, jobs)
+    click.echo("\nslice                    result     stages             message")
+    for outcome in outcomes:
+        click.echo(outcome.row())
+    counts = Counter(outcome.result for outcome in outcomes)
+    click.echo(", ".join(f"{counts[result]} {result}" for result in ("updated", "untrusted", "failed")))
+    sys.exit(EXIT_OK if counts["updated"] == len(items) else EXIT_SOME_FAILED)
