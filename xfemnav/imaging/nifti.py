@@ -1,0 +1,135 @@
+"""NIfTI-1 and NIfTI-2 (.nii) bytes -> stored voxels and where they lie.
+
+The header is checked field by field before any voxel is touched, because readers trust it: dimensions of
+32767 x 32767 x 32767 in a 17 kB file are a MemoryError in most of them, a zero affine is a silent spacing of 1.
+Field meanings: NIfTI-1.1 and NIfTI-2 header files, https://nifti.nimh.nih.gov.
+"""
+
+import math
+from typing import NamedTuple
+
+import nibabel
+import numpy as np
+
+from xfemnav.errors import XfemnavError
+
+SCALAR_TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
+COLOUR_TYPES = {128: "RGB", 2304: "RGBA"}
+COMPLEX_TYPES = {32: "complex64", 1792: "complex128", 2048: "complex256"}
+MM_PER_UNIT = {1: 1e3, 3: 1e-3}  # metre, micron; 0 (unknown) and 2 are mm
+VOXEL_MM, ORIGIN_MM = (1e-3, 1e3), 1e6  # beyond these no position in a body keeps its meaning in float64
+
+
+class Header(NamedTuple):
+    """What a header says of its voxels: `shape` (3 axes or more), stored `dtype`, byte `offset` in the file, and
+    `slope` and `inter` of value = slope * stored + inter."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    offset: int
+    slope: float
+    inter: float
+
+    @property
+    def n_bytes(self) -> int:
+        """Length of the whole file, bytes."""
+        return self.offset + math.prod(self.shape) * self.dtype.itemsize
+
+
+_KINDS = {348: (nibabel.Nifti1Header, b"n+1\0"), 540: (nibabel.Nifti2Header, b"n+2\0")}
+
+
+def _kind(head: bytes):
+    """(header class, byte order, length) of the header that `head` starts with, or None."""
+    for order, name in (("<", "little"), (">", "big")):
+        length = int.from_bytes(head[:4], name)
+        if length in _KINDS and len(head) >= length:
+            header_class, magic = _KINDS[length]
+            start = 344 if length == 348 else 4
+            if head[start : start + 4] == magic:
+                return header_class, order, length
+    return None
+
+
+def recognises(head: bytes) -> bool:
+    """Whether `head`, the first bytes of a file, starts a single-file NIfTI."""
+    return _kind(head) is not None
+
+
+def _raw(head: bytes):
+    header_class, order, length = _kind(head)
+    return header_class(head[:length], endianness=order, check=False)
+
+
+def read_header(head: bytes, name: str) -> Header:
+    """Checked header of the file `name` whose first bytes are `head`.
+
+    Raises E105 for an impossible field, E122 for colour and complex voxels.
+    """
+    raw = _raw(head)
+    slope, inter = float(raw["scl_slope"]), float(raw["scl_inter"])
+    return Header(_shape(raw, name), _dtype(raw, name), _offset(raw, name), slope, inter)
+
+
+def read_frame(head: bytes, name: str) -> tuple[np.ndarray, int]:
+    """Affine (4, 4) voxel -> RAS mm, and its code (0: the file states no position).
+
+    The sform wins over the qform, and that over the pixel sizes alone, as in nibabel. Raises E110 when unusable.
+    """
+    raw = _raw(head)
+    if raw["pixdim"][0] not in (-1, 1):
+        raw["pixdim"][0] = 1  # the standard's reading of a missing qfac
+    try:
+        affine = raw.get_best_affine().astype(float)
+    except (ValueError, nibabel.spatialimages.HeaderDataError) as error:
+        raise XfemnavError("E110", f"affine of {name} cannot be used: {error}. Fix its qform, or give the pixel "
+                                   "sizes: --spacing 0.9,0.9.") from None
+    affine[:3] *= MM_PER_UNIT.get(int(raw["xyzt_units"]) & 7, 1)
+    check_affine(affine, name)
+    return affine, int(raw["sform_code"]) or int(raw["qform_code"])
+
+
+def _shape(raw, name: str) -> tuple[int, ...]:
+    n_axes, *lengths = (int(n) for n in raw["dim"])
+    if not 1 <= n_axes <= 7 or min(lengths[:n_axes]) < 1:
+        raise XfemnavError("E105", f"impossible dimensions {[n_axes, *lengths]} in the header of {name}; "
+                                   "dim[0] is 1 to 7 and every length at least 1. Convert it again from its source.")
+    return tuple(lengths[:n_axes] + [1] * (3 - n_axes))
+
+
+def _dtype(raw, name: str) -> np.dtype:
+    code, bits = int(raw["datatype"]), int(raw["bitpix"])
+    for kinds, what in ((COLOUR_TYPES, "a colour image"), (COMPLEX_TYPES, "a complex image")):
+        if code in kinds:
+            raise XfemnavError("E122", f"{name} is {what} ({kinds[code]}); give one scalar intensity a voxel.")
+    if code not in SCALAR_TYPES or np.dtype(SCALAR_TYPES[code]).itemsize * 8 != bits:
+        raise XfemnavError("E105", f"data type {code} with {bits} bits in the header of {name} is no scalar type of "
+                                   "NIfTI. Convert it again from its source.")
+    return np.dtype(SCALAR_TYPES[code]).newbyteorder(raw.endianness)
+
+
+def _offset(raw, name: str) -> int:
+    least, offset = raw.single_vox_offset, float(raw["vox_offset"])
+    if offset == 0:
+        return least
+    if not (least <= offset < 2**40 and offset == int(offset)):
+        raise XfemnavError("E105", f"voxels of {name} are said to start at byte {offset:g}, before byte {least} or "
+                                   "past any file's end. Convert it again from its source.")
+    return int(offset)
+
+
+def check_affine(affine: np.ndarray, name: str) -> None:
+    """Raise E110 unless `affine` (4, 4) gives every voxel of `name` a position in mm and back."""
+    sizes = np.linalg.norm(affine[:3, :3], axis=0)
+    usable = (np.isfinite(affine).all() and (sizes > VOXEL_MM[0]).all() and (sizes < VOXEL_MM[1]).all()
+              and (abs(affine[:3, 3]) < ORIGIN_MM).all() and abs(np.linalg.det(affine[:3, :3] / sizes)) > 1e-6)
+    if not usable:
+        rows = "; ".join(" ".join(f"{x:.4g}" for x in row) for row in affine[:3])
+        raise XfemnavError("E110", f"affine of {name} cannot be used: rows {rows} give voxels no size or no position "
+                                   "in mm. Fix its header, or give the pixel sizes: --spacing 0.9,0.9.")
+
+
+def voxels(header: Header, data: bytes) -> np.ndarray:
+    """Stored voxels, `header.shape`, unscaled, as a read-only view of the file's bytes `data`."""
+    flat = np.frombuffer(data, header.dtype, math.prod(header.shape), header.offset)
+    return flat.reshape(header.shape, order="F")

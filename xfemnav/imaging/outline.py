@@ -1,0 +1,43 @@
+"""A pixel mask -> its smooth outline and the distance to it, both finer than a pixel.
+
+The outline of a raw mask is a staircase, and a mesh that follows it has slivers. Smoothing the binary mask with a
+Gaussian of one pixel before taking the half level moves a boundary of radius R by sigma^2 / (2 R), below .01 pixel for
+an organ of 60 pixels, and leaves no stairs.
+"""
+
+import numpy as np
+import shapely
+from scipy import ndimage
+from skimage import measure
+
+from xfemnav.errors import XfemnavError
+
+SIGMA = 1.0  # pixels
+MARGIN = 5  # pixels of background added around the slice, so that an organ cut by the slice's edge has an outline
+
+
+def outline_of(mask: np.ndarray, origin, spacing) -> np.ndarray:
+    """Outline (n, 2) plane mm of the organ in `mask` (n1, n2): its longest closed loop.
+
+    Counter-clockwise, the last point not repeated, a simple polygon. Pixel (i, j) is centred at
+    origin + (i, j) * spacing. Raises E201 when the mask is empty or too thin to have an inside.
+    """
+    smooth = ndimage.gaussian_filter(np.pad(mask, MARGIN).astype(float), SIGMA)
+    loops = [loop[:-1] for loop in measure.find_contours(smooth, 0.5) if len(loop) > 3]
+    polygons = [part for loop in loops for part in shapely.get_parts(shapely.make_valid(shapely.Polygon(loop)))]
+    organ = max(polygons, key=lambda part: part.area, default=shapely.Polygon())
+    if organ.area == 0:
+        raise XfemnavError("E201", f"the mask has no inside: its {int(np.sum(mask))} pixels are nowhere two wide. "
+                                   "Give another --mask.")
+    loop = shapely.get_coordinates(shapely.geometry.polygon.orient(organ).exterior)[:-1]
+    apart = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1) > 1e-3  # pixels; level crossings beside a node
+    return np.asarray(origin, float) + (loop[apart] - MARGIN) * np.asarray(spacing, float)
+
+
+def signed_distance(mask: np.ndarray, spacing) -> np.ndarray:
+    """Distance (n1, n2) mm of the pixel centres from the outline of `mask`, negative inside."""
+    outline = shapely.Polygon(outline_of(mask, (0.0, 0.0), spacing))
+    centres = shapely.points(np.moveaxis(np.indices(mask.shape), 0, -1) * np.asarray(spacing, float))
+    shapely.prepare(outline)
+    inside = shapely.contains(outline, centres)
+    return np.where(inside, -1.0, 1.0) * shapely.distance(outline.exterior, centres)
