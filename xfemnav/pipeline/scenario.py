@@ -1,0 +1,245 @@
+"""The scenario, version 1: what a run is asked to do, as TOML sections or as flags, checked in one place.
+
+`Scenario` is the schema. `problems` lists everything that is wrong with a raw scenario at once, each with its place,
+the flag that sets it, and the nearest valid name for one that is not known.
+"""
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+
+from xfemnav.errors import XfemnavError
+from xfemnav.pipeline.flags import tables
+
+LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
+
+Vector = Annotated[tuple[float, float], Strict(False)]
+Point = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=3)]
+Path_ = Annotated[str, Field(min_length=1, max_length=4096)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Name = Annotated[str, Field(pattern=r"^[\w .+-]{1,64}$")]
+
+
+class Section(BaseModel):
+    """A table of the scenario: unknown keys are refused, numbers are finite, and "12" is no number."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class SliceSection(Section):
+    """Which slice of a volume."""
+
+    plane: Literal["axial", "coronal", "sagittal"] | None = None
+    index: int | None = Field(None, ge=0, description="voxel index along the plane's normal, from 0")
+    position_mm: float | None = Field(None, description="position along the plane's normal, mm")
+
+    @model_validator(mode="after")
+    def _one_position(self):
+        if self.index is not None and self.position_mm is not None:
+            raise ValueError("give index or position_mm, not both")
+        return self
+
+
+class CutSection(Section):
+    """A cut, drawn from its mouth to its tip."""
+
+    name: Name = "cut"
+    points: Annotated[tuple[Point, ...], Strict(False)] = Field(description="2 numbers a point (plane), or 3 (world)")
+    craniotomy: bool = Field(True, description="false: this mouth frees nothing at the skull")
+    internal: bool = Field(False, description="the cut lies inside, with two tips")
+
+    @model_validator(mode="after")
+    def _one_kind_of_point(self):
+        if len({len(point) for point in self.points}) > 1:
+            raise ValueError("points mixes points of 2 and of 3 numbers")
+        return self
+
+
+class RetractSection(Section):
+    """A blade that moves or pushes one lip of a cut."""
+
+    cut: Name | None = Field(None, description="name of the cut; may be left out when there is one")
+    side: Literal["left", "right"]
+    displacement_mm: Vector | None = Field(None, description="displacement of the lip in the plane, mm")
+    normal_mm: float | None = Field(None, description="displacement away from the other lip, mm")
+    force_mN_per_mm: Vector | None = Field(None, description="force on the lip, mN per mm of thickness")
+    blade: Vector | None = Field(None, description="held part of the cut: 0 at the mouth, 1 at the tip")
+
+    @model_validator(mode="after")
+    def _one_datum(self):
+        given = [self.displacement_mm, self.normal_mm, self.force_mN_per_mm]
+        if sum(value is not None for value in given) != 1:
+            raise ValueError("give exactly one of displacement_mm, normal_mm, force_mN_per_mm")
+        return self
+
+
+class SegmentSection(Section):
+    """How the organ is found when no mask is given."""
+
+    method: Literal["auto", "otsu", "vote", "svc"] = "auto"
+    skull: Literal["auto", "on", "stripped"] = Field("auto", description="whether the head's skull is in the image")
+    template: Path_ | None = None
+    template_mask: Path_ | None = None
+
+
+class TissueSection(Section):
+    """The material."""
+
+    young_kpa: float = 3.0
+    poisson: float = 0.45
+
+
+class BoundarySection(Section):
+    """What holds the organ's outline."""
+
+    skull: Literal["fixed", "sliding", "free"] = "fixed"
+    craniotomy_mm: NotNegative = 20.0
+    skull_ramp_mm: NotNegative = 4.0
+    displacement: Path_ | None = Field(None, description="CSV of the outline's measured motion: x,y,ux,uy[,side]")
+
+
+class MeshSection(Section):
+    """The mesh, or a file with yours."""
+
+    file: Path_ | None = Field(None, description="VTU of triangles in RAS mm, in place of the mesh stage")
+    element_size_mm: Positive = 3.0
+    corridor_mm: NotNegative = Field(12.0, description="width of the fine band on either side of the cuts; 0 for none")
+    corridor_element_mm: Positive = 1.0
+    corridor: Annotated[tuple[Point, ...], Strict(False)] | None = Field(
+        None, description="the planned region's path, in place of the cuts themselves")
+
+
+class SolveSection(Section):
+    """How the equations are set up."""
+
+    stress_state: Literal["strain", "stress"] = "strain"
+    tip_enrichment: Literal["topological", "geometric", "none"] = "topological"
+    lip_constraint: Literal["mortar", "pointwise"] = "mortar"
+    hold_tip: bool = Field(False, description="hold the tip cell's crossings too (pointwise only)")
+
+
+class WarpSection(Section):
+    """How the new image is sampled."""
+
+    interp: Literal["linear", "cubic", "nearest"] = "linear"
+    outside: Literal["keep", "zero"] = "keep"
+    fill: float = Field(0.0, description="value of cavity pixels")
+
+
+class Scenario(Section):
+    """Everything that a run can be asked for. Paths are relative to the file and stay in its folder."""
+
+    xfemnav: Literal[1] = Field(description="version of this format")
+    image: Path_ | None = None
+    mask: Path_ | None = None
+    space: Literal["ras", "lps", "voxel"] = Field("ras", description="how points are read")
+    volume: int | None = Field(None, ge=0, description="which volume of a 4-D image")
+    nan: float | None = Field(None, description="value for NaN and infinite voxels")
+    spacing: Annotated[tuple[Positive, ...], Strict(False), Field(min_length=2, max_length=3)] | None = Field(
+        None, description="pixel sizes, mm, in place of the header's frame")
+    resample_mask: bool = False
+    max_memory_gb: Positive = 4.0
+    strict: bool = Field(False, description="warnings are errors")
+    slice: SliceSection = SliceSection()
+    segment: SegmentSection = SegmentSection()
+    cut: Annotated[tuple[CutSection, ...], Strict(False)] = ()
+    retract: Annotated[tuple[RetractSection, ...], Strict(False)] = ()
+    tissue: TissueSection = TissueSection()
+    boundary: BoundarySection = BoundarySection()
+    mesh: MeshSection = MeshSection()
+    solve: SolveSection = SolveSection()
+    warp: WarpSection = WarpSection()
+
+
+def read_toml(path: Path) -> dict:
+    """The raw scenario in a TOML file. Raises E100 (missing) and E780 (too large, too deep, no TOML)."""
+    if not path.is_file():
+        raise XfemnavError("E100", f"no scenario file at {path}. Correct the path.")
+    if path.stat().st_size > LIMIT_BYTES:
+        raise XfemnavError("E780", f"{path.name} holds {path.stat().st_size} bytes; at most {LIMIT_BYTES} are read.")
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise XfemnavError("E780", f"{path.name} is no TOML: {error}.") from None
+    except RecursionError:
+        raise XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.") from None
+    if _depth(raw) > LIMIT_DEPTH:
+        raise XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.")
+    return raw
+
+
+def validated(raw: dict, flags: dict[str, str], known: tuple[str, ...] = ()) -> Scenario:
+    """The scenario of a raw dict. Raises E780 with every problem, those already `known` first.
+
+    `flags` maps places in the scenario to the flags that set them.
+    """
+    found = [*known, *problems(raw, flags)]
+    if found:
+        raise XfemnavError("E780", "; ".join(found) + ". See `xfemnav schema` for every key.")
+    return Scenario.model_validate(raw)
+
+
+def problems(raw: dict, flags: dict[str, str] | None = None) -> list[str]:
+    """One line a problem of a raw scenario, empty when there is none."""
+    found = []
+    try:
+        Scenario.model_validate(raw)
+    except ValidationError as error:
+        found = [_told(item, flags or {}) for item in error.errors(include_url=False)]
+    return found + _cross_problems(raw)
+
+
+def _told(item: dict, flags: dict[str, str]) -> str:
+    place = ".".join(str(part) for part in item["loc"])
+    flag = f" ({flags[place]})" if place in flags else ""
+    if item["type"] == "extra_forbidden":
+        near = difflib.get_close_matches(str(item["loc"][-1]), _names_at(item["loc"][:-1]), 1, 0.5)
+        return f"{place}: unknown key" + (f", did you mean '{near[0]}'?" if near else "")
+    text = item["msg"].removeprefix("Value error, ")
+    shown = item.get("input")
+    got = f", got {shown!r}" if isinstance(shown, str | int | float) and len(repr(shown)) < 60 else ""
+    return f"{place}{flag}: {text[0].lower()}{text[1:]}{got}" if place else text
+
+
+def _names_at(location: tuple) -> list[str]:
+    """Valid keys of the section at `location`."""
+    section = Scenario
+    for part in location:
+        if isinstance(part, str):
+            section = _section_of(section.model_fields[part].annotation)
+    return list(section.model_fields)
+
+
+def _section_of(annotation) -> type[Section]:
+    """The section inside an annotation such as tuple[CutSection, ...]."""
+    inner = get_args(annotation)
+    return annotation if not inner else _section_of(inner[0])
+
+
+def _cross_problems(raw: dict) -> list[str]:
+    """Problems between sections, told even when a section has its own."""
+    cuts = [item.get("name", "cut") for item in tables(raw, "cut")]
+    found = [f"cut.{i}.name: two cuts are called '{name}'" for i, name in enumerate(cuts) if name in cuts[:i]]
+    for i, retract in enumerate(tables(raw, "retract")):
+        name = retract.get("cut")
+        if name is None and len(cuts) != 1:
+            found.append(f"retract.{i}.cut: say which cut it holds; there are {len(cuts)}")
+        elif name is not None and name not in cuts:
+            near = difflib.get_close_matches(str(name), map(str, cuts), 1, 0.5)
+            hint = f", did you mean '{near[0]}'?" if near else ""
+            found.append(f"retract.{i}.cut: no cut is called '{name}'{hint}")
+    return found
+
+
+def _depth(value) -> int:
+    """Levels of nesting of tables and arrays, without recursion."""
+    depth, level = 0, [value]
+    while level:
+        depth += 1
+        level = [inner for item in level if isinstance(item, dict | list)
+                 for inner in (item.values() if isinstance(item, dict) else item)]
+    return depth
