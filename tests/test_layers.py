@@ -20,7 +20,7 @@ HOMES = {
     "numpy": EVERYWHERE - {"cli"},
     "scipy": EVERYWHERE - {"cli"},
     "numba": {"geometry", "mechanics", "imaging"},
-    "shapely": {"geometry", "imaging"},
+    "shapely": {"geometry", "mechanics", "imaging"},
     "nibabel": {"imaging"},
     "SimpleITK": {"imaging"},
     "skimage": {"imaging"},

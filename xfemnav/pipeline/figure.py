@@ -5,6 +5,7 @@ of a cut is left on the screen too, and on axial and coronal slices the patient'
 give the same bytes: matplotlib's own defaults and font, no date, no software version.
 """
 
+from io import BytesIO
 from pathlib import Path
 
 import matplotlib
@@ -12,6 +13,8 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+
+from xfemnav.pipeline.disk import write_atomic
 
 PANEL_IN, DPI = 4.1, 150     # width of a panel, and dots an inch
 MARGIN_MM = 10.0             # shown around the organ, and around the cuts in the close view
@@ -48,7 +51,9 @@ def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
             _letters(panel, slice, ink)
             _scale_bar(panel, box, ink)
         figure.supxlabel(_caption(slice), fontsize=9)
-        figure.savefig(path, format="png", metadata={"Software": None})
+        png = BytesIO()
+        figure.savefig(png, format="png", metadata={"Software": None})
+    write_atomic(path, png.getvalue())
     return path
 
 

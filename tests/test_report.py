@@ -1,0 +1,158 @@
+"""The report: self-contained, inert whatever the names in it, equal for equal runs; and a paragraph that tells all."""
+
+import copy
+import json
+from html.parser import HTMLParser
+
+import pytest
+
+from xfemnav.errors import FAULTS
+from xfemnav.pipeline.methods import methods_paragraph
+from xfemnav.pipeline.report import MMHG_PER_KPA, flat, render, retractor_row, write_report
+from xfemnav.pipeline.scenario import Scenario
+
+EVIL = "<img src=x onerror=alert(1)>"
+PNG = b"\x89PNG\r\n\x1a\n stand-in"
+
+
+@pytest.fixture
+def run():
+    """The record of a run with every section, as in run.json."""
+    asked = Scenario.model_validate({
+        "xfemnav": 1, "image": "/data/sub-01_T1w.nii.gz",
+        "cut": [{"name": "approach", "points": [[-54.7, 41.5], [-22.0, 18.0]]}],
+        "retract": [{"side": "left", "displacement_mm": [-3.5, -1.0], "blade": [0.0, 0.8]},
+                    {"side": "right", "force_mN_per_mm": [1.0, 0.5]}],
+    })
+    return json.loads(json.dumps({
+        "schema": "xfemnav-run/1", "status": "complete", "exit_code": 0, "version": "9.8.7",
+        "argv": ["xfemnav", "run", "sub-01_T1w.nii.gz", "--cut", "-54.7,41.5 -22.0,18.0"],
+        "parameters": asked.model_dump(),
+        "stages": [{"name": "segment", "status": "ran", "key": "ab" * 32, "seconds": 1.2345}],
+        "outputs": {"updated": "sub-01_desc-updated_T1w.nii.gz"},
+        "mesh": {"n_nodes": 5012, "n_cells": 9876, "min_quality": 0.81, "mean_quality": 0.993, "hausdorff_mm": 0.2},
+        "enrichment": {"heaviside_nodes": 77, "tip_nodes": 6, "n_dof": 10226},
+        "retractor": [{"cut": "approach", "side": "left", "force_mN_per_mm": [3.0, -4.0], "mean_pressure_kPa": 2.0}],
+        "checks": {"residual": 1e-12, "inverted_mm2": 0.0, "det_F_p01": 0.97, "cavity_mm2": 166.4, "overlap_mm2": 0.0,
+                   "lip_error_mm": {"rms": 0.004, "max": 0.08}, "max_displacement_mm": 3.64},
+        "warnings": [{"code": "W301", "text": "the cut starts 2.1 mm inside"}],
+    }))
+
+
+class Tags(HTMLParser):
+    """All tags of a page with their attributes, and its visible text."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.text = [], ""
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def with_every_string(value, text):
+    """`value` with `text` added to every string that a user can choose."""
+    if isinstance(value, dict):
+        return {key: with_every_string(item, text) for key, item in value.items()}
+    if isinstance(value, list):
+        return [with_every_string(item, text) for item in value]
+    return value + text if isinstance(value, str) else value
+
+
+def test_names_cannot_become_markup(run):
+    evil = copy.deepcopy(run)
+    for key in ("argv", "outputs", "stages"):
+        evil[key] = with_every_string(run[key], EVIL)
+    evil["parameters"]["image"] = evil["parameters"]["mask"] = EVIL
+    evil["parameters"]["cut"][0]["name"] = evil["retractor"][0]["cut"] = evil["warnings"][0]["text"] = EVIL
+    page = Tags(render(evil, PNG))
+    assert [attrs["src"][:22] for tag, attrs in page.tags if tag == "img"] == ["data:image/png;base64,"]
+    assert not [attrs for _, attrs in page.tags if any(name.startswith("on") for name in attrs)]
+    assert "alert(1)" in page.text, "shown as text"
+
+
+def test_the_page_needs_nothing_and_may_run_nothing(run):
+    page = Tags(render(run, PNG))
+    names = {tag for tag, _ in page.tags}
+    assert not names & {"script", "link", "iframe", "object", "embed", "form", "base"}
+    links = [attrs[name] for _, attrs in page.tags for name in ("src", "href", "action") if name in attrs]
+    assert all(link.startswith("data:") for link in links)
+    policy = next(attrs["content"] for tag, attrs in page.tags if attrs.get("http-equiv") == "Content-Security-Policy")
+    assert policy.startswith("default-src 'none'") and "script" not in policy
+
+
+def test_same_run_same_page_cached_or_not(run):
+    again = copy.deepcopy(run)
+    again["stages"][0] |= {"status": "cached", "seconds": 0.01}
+    assert render(run, PNG) == render(again, PNG)
+
+
+def test_untrusted_is_unmistakable(run):
+    assert 'class="status complete"' in render(run, PNG)
+    run["status"] = "untrusted"
+    page = render(run, PNG)
+    assert 'class="status untrusted"' in page and "NOT TO BE TRUSTED" in page
+
+
+def test_a_warning_comes_with_its_remedy(run):
+    text = Tags(render(run, None)).text
+    assert "W301" in text and "2.1 mm inside" in text and FAULTS["W301"].remedy in text
+
+
+def test_pressure_in_mmhg(run):
+    """1 mmHg is 133.322 Pa; 2 kPa are 15.0 mmHg. The size of (3, -4) is 5."""
+    assert pytest.approx(1000 / 133.322, rel=1e-5) == MMHG_PER_KPA
+    row = retractor_row(run["retractor"][0])
+    assert (row["size"], row["kpa"], row["mmhg"]) == ("5.00", "2.000", "15.0")
+
+
+def test_parameters_are_all_listed_but_the_unset(run):
+    rows = dict(flat(run["parameters"]))
+    assert rows["mesh.element_size_mm"] == "3" and rows["retract[1].blade"] == "0, 0.8"
+    assert rows["cut[1].points"] == "(-54.7, 41.5), (-22, 18)" and rows["resample_mask"] == "no"
+    assert "mask" not in rows and "retract[2].blade" not in rows
+
+
+def test_methods_paragraph_tells_what_another_lab_needs(run):
+    text = methods_paragraph(run)
+    for part in ("sub-01_T1w.nii.gz", "xfemnav 9.8.7", "numpy ", "5012 nodes", "9876 linear triangles", "3 kPa",
+                 "ratio 0.45", "plane strain", "77 nodes", "6 the tip functions", "10226 degrees", "20 mm", "over 4 mm",
+                 "left lip was displaced by (-3.5, -1) mm over 0 to 80 %", "right lip was loaded with (1, 0.5) mN",
+                 "mortar", "3.64 mm", "linear interpolation", "(-54.7, 41.5) to (-22, 18)"):
+        assert part in text, part
+    assert "/data" not in text and "  " not in text and ".." not in text
+
+
+@pytest.mark.parametrize("change, wanted", [
+    ({"mask": "brain.nii.gz"}, "mask was given (brain.nii.gz)"),
+    ({"mesh": {"file": "mine.vtu"}}, "mesh was given (mine.vtu)"),
+    ({"mesh": {"corridor_mm": 0.0}}, "edges of 3 mm (quality"),
+    ({"boundary": {"skull": "free"}}, "The outline was free."),
+    ({"boundary": {"skull_ramp_mm": 0.0}}, "mm of the cut's mouth."),
+    ({"boundary": {"displacement": "surface.csv"}}, "moved as measured (surface.csv)"),
+    ({"solve": {"lip_constraint": "pointwise"}}, "as in [1]"),
+    ({"solve": {"stress_state": "stress"}}, "plane stress"),
+    ({"solve": {"tip_enrichment": "none"}}, "no crack-tip functions"),
+    ({"retract": []}, "it does not contain the cut."),
+])
+def test_methods_paragraph_follows_the_parameters(run, change, wanted):
+    for section, value in change.items():
+        run["parameters"][section] = run["parameters"][section] | value if isinstance(value, dict) else value
+    assert wanted in methods_paragraph(run)
+
+
+def test_paper_is_cited(run):
+    text = Tags(render(run, PNG)).text
+    for part in ("Vigneron", "Lecture Notes in Computer Science 3217", "Moës", "not a medical device"):
+        assert part in text
+
+
+def test_written_whole_with_any_name(run, tmp_path):
+    run["parameters"]["image"] = "caf\udce9.nii"  # a byte that is no UTF-8, as the file system hands it over
+    path = write_report(run, tmp_path, None)
+    assert path == tmp_path / "report.html" and [path] == list(tmp_path.iterdir())
+    assert "<img" not in path.read_text(encoding="utf-8")

@@ -1,0 +1,102 @@
+"""The run as one HTML page that needs no other file and runs no script: `report.html` beside `run.json`.
+
+The page is for the reader who must decide whether to believe the result and then has to describe it: a verdict, the
+figure, the checks, warnings with what to do about them, the retractors' forces, and a methods paragraph to paste. It
+holds nothing that differs between two runs of the same command (no dates, no seconds), so equal runs give equal pages.
+"""
+
+import base64
+import shlex
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from xfemnav.errors import FAULTS
+from xfemnav.pipeline.disk import write_atomic
+from xfemnav.pipeline.methods import CITATIONS, methods_paragraph
+
+MMHG_PER_KPA = 7.50062
+VERDICTS = {
+    "complete": "Complete. All checks passed.",
+    "untrusted": "NOT TO BE TRUSTED. The tissue is folded: use these results to find out why, and for nothing else.",
+}
+CHECKS = {  # name in run.json: (what it is, unit)
+    "residual": ("relative residual of the linear system", ""),
+    "lip_error_mm": ("difference between the held lips and what was prescribed", "mm"),
+    "max_displacement_mm": ("largest displacement", "mm"),
+    "inverted_mm2": ("tissue turned inside out (0 wanted; more than 1 is not trusted)", "mm²"),
+    "det_F_p01": ("local change of area, 1 % quantile (1 is none, below 0 is inside out)", ""),
+    "cavity_mm2": ("cavity: pixels of the organ that hold no tissue now", "mm²"),
+    "overlap_mm2": ("overlap: pixels that hold tissue twice (0 wanted)", "mm²"),
+}
+
+
+def write_report(run: dict, folder: Path, figure_png: Path | None) -> Path:
+    """Write `folder`/report.html for `run`, the content of its run.json, and return the path."""
+    target = folder / "report.html"
+    page = render(run, figure_png.read_bytes() if figure_png else None)
+    write_atomic(target, page.encode(errors="backslashreplace"))  # file names may hold bytes that are no UTF-8
+    return target
+
+
+def render(run: dict, figure: bytes | None) -> str:
+    """The page. Every value is escaped by the template engine: names of files and cuts are other people's text."""
+    page = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, keep_trailing_newline=True,
+    ).get_template("report.html")
+    return page.render(
+        title=Path(run["parameters"]["image"]).name,
+        status=run["status"],
+        verdict=VERDICTS[run["status"]],
+        figure=base64.b64encode(figure).decode() if figure else None,
+        command=shlex.join(run["argv"]),
+        stages=run["stages"],
+        checks=[(*CHECKS[name], shown(value)) for name, value in run["checks"].items()],
+        warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
+        retractors=[retractor_row(each) for each in run["retractor"]],
+        parameters=list(flat(run["parameters"])),
+        outputs=run["outputs"],
+        methods=methods_paragraph(run),
+        citations=CITATIONS,
+        version=run["version"],
+    )
+
+
+def retractor_row(retractor: dict) -> dict:
+    """A row of the table of forces: components and size in mN per mm of thickness, pressure in kPa and mmHg."""
+    fx, fy = retractor["force_mN_per_mm"]
+    pressure = retractor["mean_pressure_kPa"]
+    return {
+        "cut": retractor["cut"],
+        "side": retractor["side"],
+        "force": f"({fx:.2f}, {fy:.2f})",
+        "size": f"{(fx**2 + fy**2) ** 0.5:.2f}",
+        "kpa": f"{pressure:.3f}",
+        "mmhg": f"{pressure * MMHG_PER_KPA:.1f}",
+    }
+
+
+def flat(value, name: str = ""):
+    """The leaves of nested parameters as rows ('mesh.element_size_mm', '3'), in order; unset ones are left out."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from flat(inner, f"{name}.{key}" if name else key)
+    elif isinstance(value, list | tuple) and value and isinstance(value[0], dict):
+        for number, inner in enumerate(value, 1):
+            yield from flat(inner, f"{name}[{number}]")
+    elif value is not None:
+        yield name, shown(value)
+
+
+def shown(value) -> str:
+    """A value for people: four digits, words for truth values, the items of a list or an object in a row."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {shown(item)}" for key, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(f"({shown(item)})" if isinstance(item, list | tuple) else shown(item) for item in value)
+    return str(value)
