@@ -76,10 +76,10 @@ def _cut(cut):
 
 
 def _enrichment(run):
-    nodes = run["enrichment"]
-    return ("It was embedded in the mesh by the extended finite element method [1, 2]: "
-            f"{nodes['heaviside_nodes']} nodes carried the discontinuous function and {nodes['tip_nodes']} the tip "
-            f"functions, {nodes['n_dof']} degrees of freedom in all; {TIPS[run['parameters']['solve']['tip_enrichment']]}.")
+    nodes, tips = run["enrichment"], TIPS[run["parameters"]["solve"]["tip_enrichment"]]
+    return (f"It was embedded in the mesh by the extended finite element method [1, 2]: {nodes['heaviside_nodes']} nodes "
+            f"carried the discontinuous function and {nodes['tip_nodes']} the tip functions, {nodes['n_dof']} degrees of "
+            f"freedom in all; {tips}.")
 
 
 def _tissue(asked):

@@ -17,7 +17,7 @@ from xfemnav.pipeline.methods import CITATIONS, methods_paragraph
 
 MMHG_PER_KPA = 7.50062
 VERDICTS = {
-    "complete": "Complete. All checks passed.",
+    "complete": "Complete",
     "untrusted": "NOT TO BE TRUSTED. The tissue is folded: use these results to find out why, and for nothing else.",
 }
 CHECKS = {  # name in run.json: (what it is, unit)
@@ -52,7 +52,7 @@ def render(run: dict, figure: bytes | None) -> str:
         figure=base64.b64encode(figure).decode() if figure else None,
         command=shlex.join(run["argv"]),
         stages=run["stages"],
-        checks=[(*CHECKS[name], shown(value)) for name, value in run["checks"].items()],
+        checks=[(what, unit, shown(run["checks"][name])) for name, (what, unit) in CHECKS.items()],
         warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
         retractors=[retractor_row(each) for each in run["retractor"]],
         parameters=list(flat(run["parameters"])),
