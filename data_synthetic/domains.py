@@ -24,7 +24,7 @@ def rectangle(width: float, height: float, centre=(0.0, 0.0)) -> np.ndarray:
 
 
 def dumbbell(radius: float = 20.0, distance: float = 60.0, bridge: float = 8.0) -> np.ndarray:
-    """Two discs whose centres are `distance` mm apart, joined by a bridge `bridge` mm wide: a cut across it divides it."""
+    """Two discs `distance` mm apart (centres), joined by a bridge `bridge` mm wide: a cut across it divides it."""
     ends = [Point(x, 0).buffer(radius, quad_segs=32) for x in (-distance / 2, distance / 2)]
     return _loop(union_all([*ends, box(-distance / 2, -bridge / 2, distance / 2, bridge / 2)]))
 

@@ -1,0 +1,223 @@
+"""The new image as the pull-back of the old one: every pixel asks which moved triangle it is in, and samples at rest.
+
+The motion is affine on each triangle of the mechanics' result, so a pixel's resting place is exact: nothing is inverted
+numerically and nothing is smeared across a cut. Coordinates are plane mm; pixel (i, j) has its centre at
+origin + (i, j) * spacing, so that axis 0 runs along the plane's first coordinate.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from scipy.ndimage import map_coordinates
+
+# A pixel centre this near to an edge (pixels) lies on it: in the tissue, but in no triangle more than once. It is far
+# above the rounding of corners that neighbours compute each for itself, and far below what an image can show.
+ON_EDGE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PullBack:
+    """Where the tissue in each pixel rested.
+
+    `resting` (n1, n2, 2) mm, NaN where there is no tissue; `count` (n1, n2) triangles that cover the pixel, 2 or more
+    where tissue overlaps; `folded` (n1, n2) triangles that cover it turned inside out, which `count` leaves out;
+    `triangle` (n1, n2) the index of the one that `resting` is from, -1 for none; the `origin`, `spacing` (2,) mm.
+    """
+
+    resting: np.ndarray
+    count: np.ndarray
+    folded: np.ndarray
+    triangle: np.ndarray
+    origin: np.ndarray
+    spacing: np.ndarray
+
+    @cached_property
+    def tissue(self) -> np.ndarray:
+        """Pixels (n1, n2) with tissue in them."""
+        return self.triangle >= 0
+
+    @cached_property
+    def field(self) -> np.ndarray:
+        """Resting place minus position, (n1, n2, 2) mm; 0 where there is no tissue."""
+        first, second = (o + h * np.arange(n) for o, h, n in zip(self.origin, self.spacing, self.triangle.shape))
+        field = self.resting - np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1)
+        field[~self.tissue] = 0
+        return field
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """An updated image: `updated` (n1, n2), `cavity` and `overlap` (n1, n2) bool, `field` (n1, n2, 2) mm of PullBack.
+
+    `updated` is float32, or of the image's own type when its values were taken by nearest neighbour.
+    """
+
+    updated: np.ndarray
+    cavity: np.ndarray
+    overlap: np.ndarray
+    field: np.ndarray
+
+
+def pull_back(rest, moved, origin, spacing, shape) -> PullBack:
+    """Resting place of every pixel of a grid, from triangles at `rest` and `moved`, both (t, 3, 2) mm.
+
+    The grid has `shape` (n1, n2), and `origin` and `spacing` (2,) mm. A centre on an edge that triangles share belongs
+    to one of them, a centre on a lip to the tissue. Where tissue overlaps, the triangle that comes first gives the
+    resting place; one turned inside out gives it only where there is no other.
+    """
+    origin, spacing = np.asarray(origin, float), np.asarray(spacing, float)
+    corners = (np.asarray(moved, float) - origin) / spacing
+    return PullBack(*_rasterise(np.ascontiguousarray(rest, float), corners, *shape), origin, spacing)
+
+
+def covered(triangles, origin, spacing, shape) -> np.ndarray:
+    """Pixels (n1, n2) bool whose centre is in or on one of the `triangles` (t, 3, 2) mm; the grid as in `pull_back`."""
+    return pull_back(triangles, triangles, origin, spacing, shape).tissue
+
+
+def sample(values, origin, spacing, points, interp: str = "linear") -> np.ndarray:
+    """Values (...) of an image (n1, n2) at `points` (..., 2) mm; NaN points give NaN.
+
+    `interp` is linear, cubic (the interpolating cubic B-spline, which may overshoot at edges) or nearest, whose values
+    have the image's own type, 0 for NaN points. Beyond its outermost pixel centres the image goes on unchanged.
+    """
+    points = np.ascontiguousarray(points, float)
+    own = interp == "nearest"
+    out = np.full(points.shape[:-1], 0 if own else np.nan, np.asarray(values).dtype if own else float)
+    _sample_into(out, values, origin, spacing, points, interp)
+    return out
+
+
+def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "linear", outside: str = "keep",
+           fill: float = 0.0) -> Update:
+    """The image `values` (n1, n2) on its `origin` and `spacing` (2,) mm as it looks after the motion.
+
+    `organ` (n1, n2) bool is the region of the organ at rest: rasterise the whole mesh with `covered`. The mask that the
+    mesh was made from would not do, because pixels between its outline and the mesh's chords have no triangle and are
+    no cavity; nor would the triangles that moved, because resected tissue has left one. A pixel of `organ` without
+    tissue is cavity and gets `fill`. Pixels with neither organ nor tissue are kept, or 0 with `outside="zero"`.
+    """
+    values = np.asarray(values)
+    kept = {"keep": values, "zero": np.zeros_like(values)}[outside]
+    updated = kept.astype(values.dtype if interp == "nearest" else np.float32)
+    cavity = organ & ~pull_back.tissue
+    updated[cavity] = fill
+    _sample_into(updated, values, origin, spacing, pull_back.resting, interp)
+    return Update(updated, cavity, pull_back.count > 1, pull_back.field)
+
+
+def _sample_into(out, values, origin, spacing, points, interp) -> None:
+    """Write the image's values at `points` (..., 2) mm to `out` (...), whose values at NaN points stay."""
+    origin, spacing = np.asarray(origin, float), np.asarray(spacing, float)
+    flat, to = points.reshape(-1, 2), out.reshape(-1)
+    if interp == "cubic":
+        known = np.isfinite(flat[:, 0])
+        at = ((flat[known] - origin) / spacing).T
+        to[known] = map_coordinates(np.asarray(values, float), at, order=3, mode="nearest")
+    elif interp == "linear":
+        _linear(to, np.ascontiguousarray(values, float), flat, origin, spacing)
+    elif interp == "nearest":
+        _nearest(to, np.ascontiguousarray(values), flat, origin, spacing)
+    else:
+        raise ValueError(f"interp is {interp!r}, wanted linear, cubic or nearest")
+
+
+@njit(cache=True)
+def _cell(x, n):
+    """Pixel below coordinate `x` and the fraction beyond it, on an axis of `n` pixels.
+
+    Fractions of rounding's size are 0, so that tissue that did not move keeps its values to the last bit.
+    """
+    x = min(max(x, 0.0), n - 1.0)
+    low = int(x + 1e-9)
+    part = x - low
+    return low, (part if part > 1e-9 else 0.0)
+
+
+@njit(cache=True)
+def _linear(out, values, points, origin, spacing):
+    n1, n2 = values.shape
+    for k in range(len(points)):
+        x, y = (points[k, 0] - origin[0]) / spacing[0], (points[k, 1] - origin[1]) / spacing[1]
+        if x == x:
+            i, s = _cell(x, n1)
+            j, t = _cell(y, n2)
+            i1, j1 = min(i + 1, n1 - 1), min(j + 1, n2 - 1)
+            below = values[i, j] + t * (values[i, j1] - values[i, j])
+            above = values[i1, j] + t * (values[i1, j1] - values[i1, j])
+            out[k] = below + s * (above - below)
+
+
+@njit(cache=True)
+def _nearest(out, values, points, origin, spacing):
+    n1, n2 = values.shape
+    for k in range(len(points)):
+        x, y = (points[k, 0] - origin[0]) / spacing[0], (points[k, 1] - origin[1]) / spacing[1]
+        if x == x:
+            out[k] = values[int(min(max(x + 0.5, 0.0), n1 - 1.0)), int(min(max(y + 0.5, 0.0), n2 - 1.0))]
+
+
+@njit(cache=True)
+def _rasterise(rest, moved, n1, n2):
+    """`resting`, `count`, `folded`, `triangle` of PullBack; `rest` (t, 3, 2) mm, `moved` (t, 3, 2) pixels.
+
+    Row by row, each triangle covers what its three edges leave of the row: strictly inside by ON_EDGE it is counted;
+    within ON_EDGE of an edge it only claims a pixel that nobody else has.
+    """
+    resting, triangle = np.full((n1, n2, 2), np.nan), np.full((n1, n2), -1, np.int32)
+    count, folded = np.zeros((n1, n2), np.uint16), np.zeros((n1, n2), np.uint16)
+    slope, level = np.empty((3, 2)), np.empty(3)
+    for c in range(len(rest)):
+        m, r = moved[c], rest[c]
+        ex, ey, fx, fy = m[1, 0] - m[0, 0], m[1, 1] - m[0, 1], m[2, 0] - m[0, 0], m[2, 1] - m[0, 1]
+        gx, gy, hx, hy = r[1, 0] - r[0, 0], r[1, 1] - r[0, 1], r[2, 0] - r[0, 0], r[2, 1] - r[0, 1]
+        twice = ex * fy - ey * fx
+        upright = twice * (gx * hy - gy * hx) > 0
+        turn = 1.0 if twice > 0 else -1.0
+        longest = 0.0
+        for k in range(3):    # inside where slope . x + level, the distance from the edge, is positive
+            a, b = m[k], m[(k + 1) % 3]
+            length = np.hypot(b[0] - a[0], b[1] - a[1])
+            longest = max(longest, length)
+            if length > 0:
+                slope[k, 0], slope[k, 1] = -turn * (b[1] - a[1]) / length, turn * (b[0] - a[0]) / length
+                level[k] = -slope[k, 0] * a[0] - slope[k, 1] * a[1]
+        if abs(twice) <= ON_EDGE * longest:
+            continue    # too flat to hold a pixel that its neighbours do not claim
+        # resting place = r0 + A (x - m0)
+        A00, A01 = (gx * fy - hx * ey) / twice, (hx * ex - gx * fx) / twice
+        A10, A11 = (gy * fy - hy * ey) / twice, (hy * ex - gy * fx) / twice
+        low, high = min(m[0, 1], m[1, 1], m[2, 1]) - ON_EDGE, max(m[0, 1], m[1, 1], m[2, 1]) + ON_EDGE
+        first = max(int(np.ceil(min(m[0, 0], m[1, 0], m[2, 0]) - ON_EDGE)), 0)
+        last = min(int(np.floor(max(m[0, 0], m[1, 0], m[2, 0]) + ON_EDGE)), n1 - 1)
+        for i in range(first, last + 1):
+            begin, end, inner_begin, inner_end = max(low, 0.0), min(high, n2 - 1.0), -1.0, float(n2)
+            for k in range(3):
+                value, s = slope[k, 0] * i + level[k], slope[k, 1]
+                if abs(s) < 1e-14:
+                    if value < -ON_EDGE:
+                        end = -1.0
+                    if value <= ON_EDGE:
+                        inner_end = -1.0
+                elif s > 0:
+                    begin, inner_begin = max(begin, (-value - ON_EDGE) / s), max(inner_begin, (-value + ON_EDGE) / s)
+                else:
+                    end, inner_end = min(end, (-value - ON_EDGE) / s), min(inner_end, (-value + ON_EDGE) / s)
+            for j in range(int(np.ceil(begin)), int(np.floor(end)) + 1):
+                inside = inner_begin < j < inner_end
+                if triangle[i, j] < 0 or (inside and upright and count[i, j] == 0):
+                    triangle[i, j] = c
+                    x, y = i - m[0, 0], j - m[0, 1]
+                    resting[i, j, 0] = r[0, 0] + A00 * x + A01 * y
+                    resting[i, j, 1] = r[0, 1] + A10 * x + A11 * y
+                if inside and upright:
+                    count[i, j] += 1
+                elif inside:
+                    folded[i, j] += 1
+    for i in range(n1):
+        for j in range(n2):
+            if triangle[i, j] >= 0 and count[i, j] == 0 and folded[i, j] == 0:
+                count[i, j] = 1    # on an edge
+    return resting, count, folded, triangle
