@@ -1,0 +1,125 @@
+"""Linear conditions C U = d on the degrees of freedom, and their exact elimination."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import qr, solve_triangular
+from scipy.sparse import coo_array, csc_array, csr_array, vstack
+from scipy.sparse.csgraph import connected_components
+
+from xfemnav.errors import XfemnavError
+from xfemnav.geometry.mesh import frozen_array
+
+SKULL = -1
+#: A condition whose part independent of the others is smaller than this follows from them.
+DEPENDENT = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Constraints:
+    """Conditions C U = d: `C` (m, n_dof) sparse, `d` (m,) mm; `group` (m,) is the retraction's index or SKULL."""
+
+    C: csr_array
+    d: np.ndarray
+    group: np.ndarray
+
+    def __post_init__(self):
+        object.__setattr__(self, "C", csr_array(self.C))
+        object.__setattr__(self, "d", frozen_array(self.d, float, (self.C.shape[0],), "d"))
+        object.__setattr__(self, "group", frozen_array(self.group, np.int64, (self.C.shape[0],), "group"))
+
+
+def stack(parts: list[Constraints], n_dof: int) -> Constraints:
+    """All conditions of several lists as one."""
+    if not parts:
+        return Constraints(csr_array((0, n_dof)), np.empty(0), np.empty(0))
+    return Constraints(vstack([p.C for p in parts], format="csr"), np.concatenate([p.d for p in parts]),
+                       np.concatenate([p.group for p in parts]))
+
+
+def vector_rows(B, values, group: int) -> Constraints:
+    """Conditions u_i = value_i, both components, from scalar rows B (k, n_rows) and values (k, 2) mm; row 2 k + i."""
+    B = coo_array(B)
+    rows, columns = (np.concatenate([2 * index, 2 * index + 1]) for index in (B.row, B.col))
+    C = csr_array((np.tile(B.data, 2), (rows, columns)), (2 * B.shape[0], 2 * B.shape[1]))
+    return Constraints(C, np.asarray(values, float).ravel(), np.full(C.shape[0], group))
+
+
+def normal_rows(B, normals, values, group: int) -> Constraints:
+    """Conditions n . u = value from scalar rows B (k, n_rows), unit normals (k, 2), values (k,) mm."""
+    B = coo_array(B)
+    data = np.concatenate([B.data * normals[B.row, i] for i in (0, 1)])
+    columns = np.concatenate([2 * B.col, 2 * B.col + 1])
+    C = csr_array((data, (np.tile(B.row, 2), columns)), (B.shape[0], 2 * B.shape[1]))
+    return Constraints(C, values, np.full(C.shape[0], group))
+
+
+def eliminate(constraints: Constraints) -> tuple[np.ndarray, csc_array]:
+    """All U that satisfy C U = d, as U = U0 + T q: U0 (n_dof,) mm, T (n_dof, n_free) with orthonormal columns.
+
+    Conditions on a single degree of freedom fix it; the others are solved block by block with a pivoted QR
+    factorisation, so redundant conditions do no harm. Raises XfemnavError E403 where conditions contradict each other.
+    """
+    C, d = constraints.C.tocsr(), np.array(constraints.d)
+    n_dof = C.shape[1]
+    C.eliminate_zeros()
+    U0, fixed = np.zeros(n_dof), np.zeros(n_dof, dtype=bool)
+    single = np.flatnonzero(np.diff(C.indptr) == 1)
+    at = C.indices[C.indptr[single]]
+    U0[at] = d[single] / C.data[C.indptr[single]]
+    fixed[at] = True
+    _refuse_contradiction(C[single] @ U0 - d[single], d)
+    rest = np.setdiff1d(np.arange(len(d)), single)
+    C, d = C[rest], d[rest] - C[rest] @ U0
+    C = csr_array(C @ csr_array((np.where(fixed, 0.0, 1.0), (np.arange(n_dof), np.arange(n_dof))), (n_dof, n_dof)))
+    C.eliminate_zeros()
+    free = np.flatnonzero(~fixed)
+    involved = np.unique(C.indices)
+    untouched = np.setdiff1d(free, involved)
+    rows, columns, data = [untouched], [np.arange(len(untouched))], [np.ones(len(untouched))]
+    n_free = len(untouched)
+    for block_rows, block_columns in _blocks(C):
+        c = C[block_rows][:, block_columns].toarray()
+        scale = np.linalg.norm(c, axis=1)
+        Q, R, pivot = qr((c / scale[:, None]).T, pivoting=True)
+        rank = int((np.abs(np.diag(R)) > DEPENDENT).sum())
+        target = (d[block_rows] / scale)[pivot]
+        y = solve_triangular(R[:rank, :rank], target[:rank], trans="T")
+        _refuse_contradiction(R[:rank, rank:].T @ y - target[rank:], target)
+        U0[block_columns] = Q[:, :rank] @ y
+        Z = Q[:, rank:]
+        rows.append(np.repeat(block_columns, Z.shape[1]))
+        columns.append(np.tile(n_free + np.arange(Z.shape[1]), Z.shape[0]))
+        data.append(Z.ravel())
+        n_free += Z.shape[1]
+    T = csc_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), (n_dof, n_free))
+    return U0, T
+
+
+def _blocks(C):
+    """Groups of rows that share columns: (rows, columns) of each."""
+    if not C.nnz:
+        return
+    n, label = connected_components((abs(C) @ abs(C).T), directed=False)
+    for k in range(n):
+        rows = np.flatnonzero(label == k)
+        columns = np.unique(C[rows].indices)
+        if len(columns):
+            yield rows, columns
+
+
+def _refuse_contradiction(mismatch, d):
+    if len(mismatch) and np.abs(mismatch).max() > 1e-6 * max(1.0, np.abs(d).max(initial=0)):
+        raise XfemnavError("E403", f"two conditions on the same tissue differ by {np.abs(mismatch).max():.3g} mm; "
+                                   "give each lip one blade over each span, and hold no lip where the skull is fixed.")
+
+
+def multipliers(constraints: Constraints, reaction, group: int) -> np.ndarray:
+    """Forces lambda (m_group,) of one group's conditions from the unbalanced nodal forces (n_dof,) = C' lambda."""
+    rows = np.flatnonzero(constraints.group == group)
+    C = constraints.C[rows].tocsr()
+    columns = np.unique(C.indices)
+    dense = C[:, columns].toarray()
+    scale = np.linalg.norm(dense, axis=1)
+    solution, *_ = np.linalg.lstsq((dense / scale[:, None]).T, reaction[columns], rcond=1e-12)
+    return solution / scale

@@ -1,0 +1,106 @@
+"""Linear elasticity in the plane: the material, the stiffness matrix K."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csc_array, csr_array
+
+from xfemnav.errors import XfemnavError
+from xfemnav.mechanics.quadrature import tip_rule
+from xfemnav.mechanics.space import Space
+
+
+@dataclass(frozen=True)
+class Material:
+    """Isotropic linear elasticity: Young's modulus kPa, Poisson's ratio, plane 'strain' or 'stress'.
+
+    Raises XfemnavError E404 for constants out of range.
+    """
+
+    young_kpa: float = 3.0
+    poisson: float = 0.45
+    stress_state: str = "strain"
+
+    def __post_init__(self):
+        if not (np.isfinite(self.young_kpa) and self.young_kpa > 0):
+            raise XfemnavError("E404", f"Young's modulus is {self.young_kpa:g} kPa; it must be positive.")
+        if not 0 <= self.poisson <= 0.499:
+            raise XfemnavError("E404", f"Poisson's ratio is {self.poisson:g}; it must lie in 0..0.499.")
+        if self.stress_state not in ("strain", "stress"):
+            raise XfemnavError("E404", f"stress state is {self.stress_state!r}; it must be 'strain' or 'stress'.")
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """D (3, 3) kPa: stress (xx, yy, xy) from strain (xx, yy, 2 xy)."""
+        E, nu = self.young_kpa, self.poisson
+        if self.stress_state == "stress":
+            return E / (1 - nu**2) * np.array([[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]])
+        return E / ((1 + nu) * (1 - 2 * nu)) * np.array([[1 - nu, nu, 0], [nu, 1 - nu, 0], [0, 0, (1 - 2 * nu) / 2]])
+
+    @property
+    def shear_modulus(self) -> float:
+        """mu, kPa."""
+        return self.young_kpa / (2 * (1 + self.poisson))
+
+    @property
+    def kappa(self) -> float:
+        """Kolosov's constant: 3 - 4 nu in plane strain, (3 - nu) / (1 + nu) in plane stress."""
+        nu = self.poisson
+        return 3 - 4 * nu if self.stress_state == "strain" else (3 - nu) / (1 + nu)
+
+
+def strain_operator(gradient) -> np.ndarray:
+    """Rows xx, yy, 2 xy (..., 3, 2 a) of the strain of basis functions with gradients (..., a, 2); DOF 2 a + i."""
+    B = np.zeros((*gradient.shape[:-2], 3, 2 * gradient.shape[-2]))
+    B[..., 0, 0::2], B[..., 1, 1::2] = gradient[..., 0], gradient[..., 1]
+    B[..., 2, 0::2], B[..., 2, 1::2] = gradient[..., 1], gradient[..., 0]
+    return B
+
+
+def stiffness(space: Space, material: Material, cells=None) -> csc_array:
+    """K (n_dof, n_dof) kPa, per mm of thickness; symmetric. With `cells`, only their share: their element stiffness.
+
+    Plain and Heaviside parts carry constant gradients, so their integrals are exact. Parts with branch functions are
+    integrated by the tip-adapted rule.
+    """
+    D = material.stiffness
+    subcells, table = space.subcells, space.enrichment
+    chosen = np.ones(subcells.n_parts, bool) if cells is None else np.isin(subcells.part_cell, cells)
+    branched = np.zeros(subcells.n_parts, dtype=bool)
+    branched[space.branch_parts] = True
+    area = np.bincount(subcells.part, subcells.areas, subcells.n_parts)
+    plain = np.flatnonzero(chosen & ~branched)
+    # K_c = area B' D B
+    B = strain_operator(space.mesh.gradients[subcells.part_cell[plain]])
+    K_c = np.einsum("csa,st,ctb->cab", B * area[plain, None, None], D, B, optimize=True)
+    dof = (2 * table.dof[plain][:, :, None] + np.arange(2)).reshape(-1, 6)
+    rows, columns = np.repeat(dof, 6, axis=1).ravel(), np.tile(dof, (1, 6)).ravel()
+    K = coo_array((K_c.ravel(), (rows, columns)), (table.n_dof, table.n_dof)).tocsc()
+    about_tip = np.flatnonzero((chosen & branched)[subcells.part])
+    if len(about_tip):
+        points, weights, owner = tip_rule(subcells.corners[about_tip], subcells.tips)
+        K = K + _quadrature_stiffness(space, D, points, weights, subcells.part[about_tip][owner])
+    return csc_array((K + K.T) / 2)
+
+
+def _quadrature_stiffness(space, D, points, weights, parts):
+    """sum_q w B' D B with the sparse strain operator B of all quadrature points at once."""
+    G = strain_matrices(space, points, parts)
+    stress = [sum(D[s, t] * G[t] for t in range(3) if D[s, t]).multiply(weights[:, None]) for s in range(3)]
+    return csc_array(sum(G[s].T @ stress[s].tocsr() for s in range(3)))
+
+
+def strain_matrices(space: Space, points, parts) -> list[csr_array]:
+    """Three matrices (k, n_dof), 1/mm: strain xx, yy, 2 xy at points (k, 2) in parts (k,) from the DOFs."""
+    gx, gy = space.gradient_in(points, parts)
+    return [_spread(gx, None), _spread(None, gy), _spread(gy, gx)]
+
+
+def _spread(first, second):
+    """Interleave the columns of two (k, n) matrices into (k, 2 n): component i of row r is DOF 2 r + i."""
+    parts = [(m.tocoo(), i) for i, m in ((0, first), (1, second)) if m is not None]
+    shape = (parts[0][0].shape[0], 2 * parts[0][0].shape[1])
+    data = np.concatenate([m.data for m, _ in parts])
+    rows = np.concatenate([m.row for m, _ in parts])
+    columns = np.concatenate([2 * m.col + i for m, i in parts])
+    return csr_array((data, (rows, columns)), shape)

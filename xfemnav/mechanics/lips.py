@@ -1,0 +1,188 @@
+"""Conditions and forces on the two lips of a cut.
+
+The stable default, 'mortar', holds a lip in the mean over hat functions of spacing 2 h along the held span: one row a
+hat. The paper's own, 'pointwise' (Eqs. 5 and 6), has one row at every crossing of the cut with a mesh edge; it locks
+under refinement, and is kept because it is the paper's.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from xfemnav.errors import XfemnavError, warn
+from xfemnav.geometry.cut import Cut, left_normals
+from xfemnav.mechanics.constraints import Constraints, vector_rows
+from xfemnav.mechanics.space import Space
+
+LEFT, RIGHT = 1, -1
+
+
+@dataclass(frozen=True)
+class Retraction:
+    """What a retractor does to one lip of one cut.
+
+    Exactly one of `displacement_mm` (dx, dy), `normal_mm` (away from the other lip) and `force_mN_per_mm` (fx, fy)
+    spread over the blade. `blade` (from, to): the part of the cut's length that is held, 0 at the mouth; None holds,
+    pointwise, every crossing but the tip cell's.
+    """
+
+    cut: int
+    side: int
+    displacement_mm: tuple[float, float] | None = None
+    normal_mm: float | None = None
+    force_mN_per_mm: tuple[float, float] | None = None
+    blade: tuple[float, float] | None = (0.0, 0.8)
+
+    def __post_init__(self):
+        if sum(x is not None for x in (self.displacement_mm, self.normal_mm, self.force_mN_per_mm)) != 1:
+            raise ValueError("give exactly one of displacement_mm, normal_mm, force_mN_per_mm")
+        if self.side not in (LEFT, RIGHT):
+            raise ValueError("side is +1 (left) or -1 (right)")
+        if self.blade is not None and not 0 <= self.blade[0] < self.blade[1] <= 1:
+            raise XfemnavError("E402", f"blade {self.blade[0]:g},{self.blade[1]:g} is not on the cut; give FROM,TO with "
+                                       "0 <= FROM < TO < 1 (0 the mouth, 1 the tip).")
+
+    @property
+    def holds(self) -> bool:
+        """True when the lip's displacement is prescribed, not its force."""
+        return self.force_mN_per_mm is None
+
+    def displacement(self, normals) -> np.ndarray:
+        """Prescribed displacement (k, 2) mm where the left normals of the cut are (k, 2)."""
+        if self.displacement_mm is not None:
+            return np.tile(np.asarray(self.displacement_mm, float), (len(normals), 1))
+        return self.side * self.normal_mm * normals
+
+
+@dataclass(frozen=True, eq=False)
+class LipQuadrature:
+    """Gauss points along one lip: points (q, 2) mm, weights (q,) mm, arc (q,) mm, parts (q,), left normals (q, 2)."""
+
+    points: np.ndarray
+    weights: np.ndarray
+    arc: np.ndarray
+    parts: np.ndarray
+    normals: np.ndarray
+
+
+def lip_quadrature(space: Space, cut: int, side: int, span, breaks=(), n: int = 4) -> LipQuadrature:
+    """n Gauss points on each piece of a lip inside `span` (from, to) mm; pieces end at cell edges and at `breaks`."""
+    sub = space.subcells
+    facets = np.flatnonzero(sub.lip_cut == cut)
+    cuts = np.unique(np.concatenate([sub.lip_arc[facets].ravel(), np.asarray(breaks, float), span]))
+    cuts = cuts[(cuts >= span[0]) & (cuts <= span[1])]
+    middle = (cuts[1:] + cuts[:-1]) / 2
+    order = facets[np.argsort(sub.lip_arc[facets, 0])]
+    facet = order[np.clip(np.searchsorted(sub.lip_arc[order, 0], middle) - 1, 0, len(order) - 1)]
+    on = (middle > sub.lip_arc[facet, 0]) & (middle < sub.lip_arc[facet, 1]) & (np.diff(cuts) > 0)
+    low, high, facet = cuts[:-1][on], cuts[1:][on], facet[on]
+    t, w = np.polynomial.legendre.leggauss(n)
+    arc = (low[:, None] + (high - low)[:, None] * (t + 1) / 2).ravel()
+    weights = ((high - low)[:, None] * w / 2).ravel()
+    facet = np.repeat(facet, n)
+    (a0, a1), ends = sub.lip_arc[facet].T, sub.lip_ends[facet]
+    fraction = ((arc - a0) / (a1 - a0))[:, None]
+    points = (1 - fraction) * ends[:, 0] + fraction * ends[:, 1]
+    travel = ends[:, 1] - ends[:, 0]
+    travel /= np.linalg.norm(travel, axis=1)[:, None]
+    normals = np.stack([-travel[:, 1], travel[:, 0]], axis=1)
+    return LipQuadrature(points, weights, arc, sub.lip_parts[facet, 0 if side == LEFT else 1], normals)
+
+
+def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tuple[float, float]:
+    """Held part of the lip (from, to) mm from the mouth; shortened to stay two cells short of a tip (W404).
+
+    Raises XfemnavError E402 when nothing is left.
+    """
+    sub, k = space.subcells, retraction.cut
+    arcs = sub.lip_arc[sub.lip_cut == k]
+    if not len(arcs):
+        raise XfemnavError("E402", f"cut '{cuts[k].name}' crosses no element, so no blade can hold it.")
+    end = arcs.max()
+    start, stop = (np.asarray(retraction.blade if retraction.blade is not None else (0.0, 1.0)) * end).tolist()
+    for tip_end, is_last in ((-1, True), (0, False)):
+        if not ((sub.tip_cut == k) & (sub.tip_end == tip_end)).any():
+            continue
+        facet = np.flatnonzero(sub.lip_cut == k)
+        facet = facet[np.argmax(sub.lip_arc[facet, 1])] if is_last else facet[np.argmin(sub.lip_arc[facet, 0])]
+        margin = 2 * float(space.mesh.sizes[sub.part_cell[sub.lip_parts[facet]]].max())
+        limit = end - margin if is_last else margin
+        beyond = stop > limit + 1e-9 if is_last else start < limit - 1e-9
+        if beyond and retraction.blade is not None:
+            warn("W404", f"the blade on cut '{cuts[k].name}' ended less than two elements ({margin:.1f} mm) from a tip and was "
+                         f"shortened to {limit / end:.2f} of the cut.")
+        start, stop = (start, min(stop, limit)) if is_last else (max(start, limit), stop)
+    if stop - start <= 1e-9:
+        raise XfemnavError("E402", f"nothing of cut '{cuts[k].name}' ({end:.1f} mm) is left for the blade to hold; use a longer cut "
+                                   "or smaller elements (--corridor-element-mm).")
+    return start, stop
+
+
+def mortar_rows(space: Space, retraction: Retraction, span, group: int) -> Constraints:
+    """Mean displacement over hats of spacing 2 h along the span: integral of hat_k (u - given) = 0."""
+    knots = _knots(space, retraction.cut, span)
+    q = lip_quadrature(space, retraction.cut, retraction.side, span, knots)
+    hats = _hats(q.arc, knots).multiply(q.weights)
+    given = retraction.displacement(q.normals)
+    return vector_rows(csr_array(hats @ space.basis_in(q.points, q.parts)), hats @ given, group)
+
+
+def _knots(space, cut, span):
+    """Ends of the hats: spaced by twice the local element size."""
+    sub = space.subcells
+    facets = np.flatnonzero(sub.lip_cut == cut)
+    facets = facets[np.argsort(sub.lip_arc[facets, 0])]
+    h = space.mesh.sizes[sub.part_cell[sub.lip_parts[facets]]].mean(axis=1)
+    low, high = np.clip(sub.lip_arc[facets], *span).T
+    count = np.concatenate([[0.0], np.cumsum((high - low) / (2 * h))])
+    arc = np.concatenate([low[:1], high])
+    n = max(1, int(np.floor(count[-1] + 1e-9)))
+    return np.interp(np.linspace(0, count[-1], n + 1), count, arc)
+
+
+def _hats(arc, knots):
+    """Piecewise linear hats (n_knots, q) at the arc positions (q,)."""
+    k = np.clip(np.searchsorted(knots, arc, side="right") - 1, 0, len(knots) - 2)
+    t = (arc - knots[k]) / (knots[k + 1] - knots[k])
+    q = np.arange(len(arc))
+    return csr_array((np.concatenate([1 - t, t]), (np.concatenate([k, k + 1]), np.tile(q, 2))), (len(knots), len(arc)))
+
+
+def crossings(space: Space, cut: int, side: int, hold_tip: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the cut crosses mesh edges: points (k, 2) mm, arc (k,) mm, parts (k,) on the side given.
+
+    The crossings of the cells that hold a tip are left out, as in the paper, unless `hold_tip`.
+    """
+    sub = space.subcells
+    facets = np.flatnonzero(sub.lip_cut == cut)
+    tip_cells = sub.part_cell[sub.tip_touch[np.isin(sub.tip_touch[:, 0], np.flatnonzero(sub.tip_cut == cut)), 1]]
+    arc, points = sub.lip_arc[facets].ravel(), sub.lip_ends[facets].reshape(-1, 2)
+    parts = np.repeat(sub.lip_parts[facets, 0 if side == LEFT else 1], 2)
+    keep = sub.lip_on_edge[facets].ravel().copy()
+    about_tip = np.isin(sub.part_cell[sub.lip_parts[facets]], tip_cells).any(axis=1)
+    tip_arcs = sub.lip_arc[facets[about_tip]].ravel()
+    if not hold_tip and len(tip_arcs):
+        keep &= np.abs(arc[:, None] - tip_arcs).min(axis=1) > 1e-9
+    at_tip = (np.linalg.norm(points[:, None] - sub.tips, axis=2) < 1e-9).any(axis=1)
+    keep &= ~at_tip
+    _, first = np.unique(np.round(arc[keep], 9), return_index=True)
+    return points[keep][first], arc[keep][first], parts[keep][first]
+
+
+def pointwise_rows(space: Space, retraction: Retraction, span, group: int, hold_tip: bool) -> Constraints:
+    """Eqs. (5) and (6): u = given at every crossing of the held lip with a mesh edge."""
+    points, arc, parts = crossings(space, retraction.cut, retraction.side, hold_tip)
+    held = (arc >= span[0] - 1e-9) & (arc <= span[1] + 1e-9)
+    path = space.subcells.paths[retraction.cut]
+    ends = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    segment = np.clip(np.searchsorted(ends, arc[held], side="right") - 1, 0, len(path) - 2)
+    given = retraction.displacement(left_normals(path)[segment])
+    return vector_rows(space.basis_in(points[held], parts[held]), given, group)
+
+
+def lip_load(space: Space, retraction: Retraction, span) -> np.ndarray:
+    """Nodal forces (n_dof,) mN per mm of thickness of a force spread evenly over the blade."""
+    q = lip_quadrature(space, retraction.cut, retraction.side, span)
+    traction = np.asarray(retraction.force_mN_per_mm, float) / (span[1] - span[0])
+    return np.outer(space.basis_in(q.points, q.parts).T @ q.weights, traction).ravel()

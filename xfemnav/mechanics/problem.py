@@ -1,0 +1,200 @@
+"""Pose the mechanical problem: mesh, cuts, tissue, skull and retractors as matrices and vectors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from xfemnav.errors import XfemnavError, warn
+from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.mesh import Mesh, frozen_array
+from xfemnav.geometry.subcells import Subcells, embed
+from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
+from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
+from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, mortar_rows, pointwise_rows
+from xfemnav.mechanics.outline import Skull, skull_conditions
+from xfemnav.mechanics.space import Space
+
+LIP_CONSTRAINTS = ("mortar", "pointwise")
+TIP_ENRICHMENTS = ("topological", "none")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Minimise 1/2 U'(K + springs)U - load'U under C U = d.
+
+    spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts of loose crumbs, not in the result.
+    """
+
+    space: Space
+    cuts: tuple[Cut, ...]
+    material: Material
+    skull: Skull
+    retractions: tuple[Retraction, ...]
+    spans: np.ndarray
+    constraints: Constraints
+    springs: csr_array
+    load: np.ndarray
+    removed: np.ndarray
+    lip_constraint: str
+
+    def __post_init__(self):
+        object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
+        object.__setattr__(self, "springs", csr_array(self.springs))
+        object.__setattr__(self, "load", frozen_array(self.load, float, (self.space.enrichment.n_dof,), "load"))
+        object.__setattr__(self, "removed", frozen_array(self.removed, bool, (self.space.subcells.n_parts,), "removed"))
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh, which does not know the cuts."""
+        return self.space.mesh
+
+    @property
+    def subcells(self) -> Subcells:
+        """What the cuts do to the mesh."""
+        return self.space.subcells
+
+    @property
+    def enrichment(self) -> Enrichment:
+        """The table of basis functions."""
+        return self.space.enrichment
+
+
+def pose(mesh: Mesh, cuts: tuple[Cut, ...], material: Material, skull: Skull, retractions: tuple[Retraction, ...] = (), *,
+         boundary_displacement=None, tip_enrichment: str = "topological", lip_constraint: str = "mortar",
+         hold_tip: bool = False) -> Problem:
+    """State the problem of Sect. 5: a cut organ in its skull, with retractors on the lips.
+
+    Parameters
+    ----------
+    mesh : the organ; cuts : inside it, from `place_cut`.
+    retractions : what holds or pulls the lips; a cut without any is legal.
+    boundary_displacement : (k, 4 or 5) x, y, ux, uy mm [, side]: measured motion of the outline.
+    tip_enrichment : 'topological' (Eq. 4) or 'none'.
+    lip_constraint : 'mortar' (stable) or 'pointwise' (Eqs. 5 and 6); `hold_tip` holds the tip cell's crossings too.
+
+    Raises
+    ------
+    XfemnavError
+        E306 a piece that nothing holds, E402 a blade off its cut, E403 two blades on one lip, E405 lips pushed into each
+        other, E406 nothing holds the organ, E408 measured points off the outline.
+    """
+    if lip_constraint not in LIP_CONSTRAINTS:
+        raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
+    if tip_enrichment not in TIP_ENRICHMENTS:
+        raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
+    subcells = embed(mesh, cuts)
+    space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment))
+    _warn_of_lost_cuts(space, cuts)
+    n_dof = space.enrichment.n_dof
+    spans = _spans(space, cuts, retractions, lip_constraint)
+    _refuse_overlap(cuts, retractions, spans)
+    _refuse_swapped(space, cuts, retractions, spans)
+    mouths = np.array([path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(-1, 2)
+    outline, springs = skull_conditions(space, skull, mouths, material.young_kpa, boundary_displacement)
+    conditions, load = [outline], np.zeros(n_dof)
+    for group, (retraction, span) in enumerate(zip(retractions, spans)):
+        if not retraction.holds:
+            load += lip_load(space, retraction, span)
+        elif lip_constraint == "mortar":
+            conditions.append(mortar_rows(space, retraction, span, group))
+        else:
+            conditions.append(pointwise_rows(space, retraction, span, group, hold_tip))
+    constraints = stack(conditions, n_dof)
+    removed, crumbs = _loose(space, constraints, springs)
+    return Problem(space, cuts, material, skull, retractions, spans, stack([constraints, *crumbs], n_dof), springs, load, removed,
+                   lip_constraint)
+
+
+def _warn_of_lost_cuts(space, cuts):
+    """An internal cut inside the support of every node that it touches opens nothing: say so."""
+    table, sub = space.enrichment, space.subcells
+    for k, cut in enumerate(cuts):
+        own = sub.lip_cut == k
+        size = space.mesh.sizes[sub.part_cell[sub.lip_parts[own]]].mean() if own.any() else np.inf
+        if not cut.mouth and cut.length < 3 * size:
+            split = (table.dof[sub.lip_parts[own, 0]] != table.dof[sub.lip_parts[own, 1]]).any()
+            branch = np.isin(sub.lip_parts[own], table.entry_part).any() and (table.kind >= BRANCH).any()
+            warn("W303", f"internal cut '{cut.name}' is {cut.length:.2f} mm long, under three elements ({size:.2f} mm): "
+                         + ("it is resolved coarsely." if split or branch else "it cannot open on this mesh."))
+
+
+def _spans(space, cuts, retractions, lip_constraint):
+    """Held part (r, 2) mm of each lip; the paper's rule, for pointwise without a blade, is every crossing but the tip cell's."""
+    spans = [(0.0, np.inf) if lip_constraint == "pointwise" and r.holds and r.blade is None
+             else held_span(space, cuts, r) for r in retractions]
+    return np.array(spans).reshape(-1, 2)
+
+
+def _refuse_overlap(cuts, retractions, spans):
+    for i, (one, a) in enumerate(zip(retractions, spans)):
+        for other, b in list(zip(retractions, spans))[:i]:
+            if (one.cut, one.side) == (other.cut, other.side) and min(a[1], b[1]) > max(a[0], b[0]):
+                side = "left" if one.side > 0 else "right"
+                raise XfemnavError("E403", f"two retractions hold the {side} lip of cut '{cuts[one.cut].name}' between "
+                                           f"{max(a[0], b[0]):.1f} and {min(a[1], b[1]):.1f} mm; give each its own part of the lip.")
+
+
+def _refuse_swapped(space, cuts, retractions, spans):
+    """Both lips held over one span must be pulled apart, or at least not into each other."""
+    for one, a in zip(retractions, spans):
+        for other, b in zip(retractions, spans):
+            if one.cut != other.cut or one.side != 1 or other.side != -1 or not (one.holds and other.holds):
+                continue
+            span = max(a[0], b[0]), min(a[1], b[1], cuts[one.cut].length)
+            if span[1] <= span[0]:
+                continue
+            normals = lip_quadrature(space, one.cut, 1, span, n=1).normals
+            opening = np.einsum("ki,ki->k", one.displacement(normals) - other.displacement(normals), normals)
+            if opening.min() < -1e-9:
+                raise XfemnavError("E405", f"left and right look swapped on cut '{cuts[one.cut].name}': its lips are pushed "
+                                           f"{-opening.min():.1f} mm into each other; left is left when walking from the mouth to the tip.")
+
+
+def _loose(space, constraints, springs):
+    """Bodies that can move rigidly: crumbs are removed (W311), larger ones refused (E306; E406 for the whole organ)."""
+    table, sub = space.enrichment, space.subcells
+    area = np.bincount(sub.part, sub.areas, sub.n_parts)
+    body_area = np.bincount(table.body, area)
+    removed, crumbs = np.zeros(sub.n_parts, dtype=bool), []
+    for body in np.flatnonzero(_is_floating(space, constraints, springs)):
+        parts = np.flatnonzero(table.body == body)
+        where = sub.corners[np.isin(sub.part, parts)].mean(axis=(0, 1))
+        place = f"({where[0]:.1f}, {where[1]:.1f}) mm"
+        if len(body_area) == 1:
+            raise XfemnavError("E406", "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
+                                       "use --skull fixed, or hold a lip.")
+        if body_area[body] < np.median(space.mesh.areas):
+            warn("W311", f"a loose piece of {body_area[body]:.3g} mm2 at {place} was cut free and removed.")
+            removed[parts] = True
+            rows = np.unique(table.dof[parts])
+            pick = csr_array((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), table.n_rows))
+            crumbs.append(vector_rows(pick, np.zeros((len(rows), 2)), SKULL))
+            continue
+        raise XfemnavError("E306", f"the cut separates {100 * body_area[body] / area.sum():.1f} % of the organ ({body_area[body]:.0f} mm2, "
+                                   f"about {place}) from the rest, and nothing holds that piece; let the cut end inside, or hold the piece.")
+    return removed, crumbs
+
+
+def _is_floating(space, constraints, springs):
+    """For each body, whether some rigid motion of it meets no condition and no spring."""
+    table, mesh = space.enrichment, space.mesh
+    row_body = np.zeros(table.n_rows, dtype=int)
+    row_body[table.dof] = table.body[:, None]
+    held = table.kind < BRANCH
+    x = mesh.points[table.node] - mesh.points.mean(axis=0)
+    x /= np.abs(x).max()
+    floating = []
+    for body in range(table.body.max() + 1):
+        own = (held & (row_body == body)).astype(float)
+        centred = (x - np.average(x, axis=0, weights=own)) if own.any() else x
+        radius = np.sqrt(np.average((centred**2).sum(axis=1), weights=own)) if own.any() else 1.0
+        motions = np.zeros((table.n_dof, 3))
+        motions[0::2, 0], motions[1::2, 1] = own, own
+        motions[0::2, 2], motions[1::2, 2] = -own * centred[:, 1] / radius, own * centred[:, 0] / radius
+        met = constraints.C @ motions
+        scale = max(np.abs(springs.data).max(initial=0.0), 1e-300)
+        work = met.T @ met + motions.T @ (springs @ motions) / scale
+        floating.append(np.linalg.eigvalsh(work)[0] < 1e-8)
+    return np.array(floating)

@@ -1,0 +1,168 @@
+"""Solve the problem and read the answer: displacements, moved triangles, strains, retractor forces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.linalg import splu
+
+from xfemnav.errors import XfemnavError
+from xfemnav.geometry.mesh import frozen_array, orient
+from xfemnav.mechanics.constraints import eliminate, multipliers
+from xfemnav.mechanics.elasticity import stiffness
+from xfemnav.mechanics.fan import graded_triangles
+from xfemnav.mechanics.lips import lip_quadrature
+from xfemnav.mechanics.problem import Problem
+
+#: Largest relative residual of a solution that is given out.
+RESIDUAL_LIMIT = 1e-8
+
+
+@dataclass(frozen=True)
+class RetractorForce:
+    """What one retractor does: force (2,) mN per mm of thickness on the tissue, mean normal pressure kPa on the held lip."""
+
+    cut: int
+    side: int
+    force_mN_per_mm: tuple[float, float]
+    mean_pressure_kPa: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The deformed organ.
+
+    U (n_rows, 2) mm: coefficients of the basis; residual: relative; energy: strain energy, kPa mm^2 per mm of thickness.
+    Triangles of the cut organ, finer at the tips: rest (t, 3, 2) mm, moved (t, 3, 2) mm, the part (t,) of each,
+    strain (t, 3) xx, yy, xy, and det_F (t,), the ratio of moved to resting area.
+    """
+
+    U: np.ndarray
+    residual: float
+    energy: float
+    rest: np.ndarray
+    moved: np.ndarray
+    part: np.ndarray
+    body: np.ndarray
+    strain: np.ndarray
+    det_F: np.ndarray
+    retractor: tuple[RetractorForce, ...]
+    lip_error_rms_mm: float
+    lip_error_max_mm: float
+
+    def __post_init__(self):
+        t = len(self.rest)
+        for name, shape in (("U", (None, 2)), ("rest", (t, 3, 2)), ("moved", (t, 3, 2)), ("strain", (t, 3)), ("det_F", (t,))):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
+        for name in ("part", "body"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), np.int64, (t,), name))
+
+    @property
+    def rest_areas(self) -> np.ndarray:
+        """Resting areas (t,) mm^2 of the triangles."""
+        return orient(*self.rest.swapaxes(0, 1)) / 2
+
+    @property
+    def inverted_mm2(self) -> float:
+        """Resting area of tissue that is turned inside out, mm^2: what is flagged as folded."""
+        return float(self.rest_areas[self.det_F <= 0].sum())
+
+    @property
+    def det_F_p01(self) -> float:
+        """The 1 % quantile by area of det F."""
+        order = np.argsort(self.det_F)
+        share = np.cumsum(self.rest_areas[order])
+        return float(self.det_F[order][np.searchsorted(share, 0.01 * share[-1])])
+
+    @property
+    def max_displacement_mm(self) -> float:
+        """Largest displacement of a triangle's corner, mm."""
+        return float(np.linalg.norm(self.moved - self.rest, axis=2).max())
+
+
+def solve(problem: Problem) -> Solution:
+    """Minimise 1/2 U'KU - f'U under the problem's conditions.
+
+    The conditions are eliminated exactly (U = U0 + T q), the reduced system is symmetric positive definite, factored
+    once and refined once. Raises XfemnavError E407 when the residual stays above 1e-8.
+    """
+    K = stiffness(problem.space, problem.material) + problem.springs.tocsc()
+    U0, T = eliminate(problem.constraints)
+    reduced = (T.T @ K @ T).tocsc()
+    right = T.T @ (problem.load - K @ U0)
+    # Rows scaled to a unit diagonal: slivers make it span many orders of magnitude.
+    scale = 1 / np.sqrt(reduced.diagonal())
+    scaled = reduced.multiply(scale[:, None]).multiply(scale[None, :]).tocsc()
+    lu = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    y = lu.solve(scale * right)
+    y = y + lu.solve(scale * right - scaled @ y)
+    size = np.linalg.norm(scale * right) + np.linalg.norm(scale * (T.T @ problem.load))
+    residual = float(np.linalg.norm(scale * right - scaled @ y) / size) if size else 0.0
+    if not residual <= RESIDUAL_LIMIT:
+        raise XfemnavError("E407", f"the linear system was not solved: relative residual {residual:.1e} is above {RESIDUAL_LIMIT:.0e}; "
+                                   "this is a bug, please report it with the run's parameters.")
+    U = U0 + T @ (scale * y)
+    reaction = K @ U - problem.load
+    energy = float(U @ (K @ U) / 2)
+    U = U.reshape(-1, 2)
+    return Solution(U=U, residual=residual, energy=energy, **_triangles(problem, U), retractor=_forces(problem, reaction),
+                    **_lip_error(problem, U))
+
+
+def _triangles(problem, U):
+    """The map: resting and moved corners of every triangle, with its strain and det F."""
+    space = problem.space
+    rest, part = graded_triangles(space)
+    keep = ~problem.removed[part]
+    rest, part = rest[keep], part[keep]
+    u = (space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3)) @ U).reshape(-1, 3, 2)
+    area = orient(*rest.swapaxes(0, 1))
+    opposite = rest[:, [2, 0, 1]] - rest[:, [1, 2, 0]]
+    gradient = np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1) / area[:, None, None]
+    H = np.einsum("tai,taj->tij", u, gradient)
+    strain = np.stack([H[:, 0, 0], H[:, 1, 1], (H[:, 0, 1] + H[:, 1, 0]) / 2], axis=1)
+    det_F = (1 + H[:, 0, 0]) * (1 + H[:, 1, 1]) - H[:, 0, 1] * H[:, 1, 0]
+    return {"rest": rest, "moved": rest + u, "part": part, "body": problem.enrichment.body[part], "strain": strain, "det_F": det_F}
+
+
+def _forces(problem, reaction):
+    forces = []
+    for group, (retraction, span) in enumerate(zip(problem.retractions, problem.spans)):
+        span = (span[0], min(span[1], problem.cuts[retraction.cut].length))
+        q = lip_quadrature(problem.space, retraction.cut, retraction.side, span)
+        if retraction.holds:
+            rows = problem.constraints.group == group
+            force = multipliers(problem.constraints, reaction, group)
+            # A condition's weights on the partition of unity give the length of lip that its multiplier acts on.
+            plain = np.repeat(problem.enrichment.kind < 2, 2)
+            weight = problem.constraints.C[np.flatnonzero(rows)] @ plain
+            total = (force * weight).reshape(-1, 2).sum(axis=0)
+        else:
+            total = np.asarray(retraction.force_mN_per_mm)
+        normal = (q.normals * q.weights[:, None]).sum(axis=0) / q.weights.sum()
+        pressure = float(retraction.side * (total @ normal) / (span[1] - span[0]))
+        forces.append(RetractorForce(retraction.cut, retraction.side, tuple(total.tolist()), pressure))
+    return tuple(forces)
+
+
+def _lip_error(problem, U):
+    """Deviation from the prescribed displacements at 200 uniform points of every held lip: rms and largest, mm."""
+    errors = [np.zeros(0)]
+    for retraction, span in zip(problem.retractions, problem.spans):
+        if not retraction.holds:
+            continue
+        span = (span[0], min(span[1], problem.cuts[retraction.cut].length))
+        points, parts, normals = _uniform(problem.space, retraction, span, 200)
+        u = problem.space.basis_in(points, parts) @ U
+        errors.append(np.linalg.norm(u - retraction.displacement(normals), axis=1))
+    error = np.concatenate(errors)
+    return {"lip_error_rms_mm": float(np.sqrt((error**2).mean())) if len(error) else 0.0,
+            "lip_error_max_mm": float(error.max(initial=0.0))}
+
+
+def _uniform(space, retraction, span, n):
+    """n points evenly spaced along a held lip, the parts they are taken in, and the left normals there."""
+    arc = span[0] + (np.arange(n) + 0.5) / n * (span[1] - span[0])
+    breaks = np.linspace(*span, n + 1)
+    q = lip_quadrature(space, retraction.cut, retraction.side, span, breaks, n=1)
+    near = np.abs(q.arc[:, None] - arc).argmin(axis=0)
+    return q.points[near], q.parts[near], q.normals[near]

@@ -1,0 +1,164 @@
+"""The finite element space of Eq. (4), and its one operator: the matrix B with u(points) = B U.
+
+Constraint rows, loads, moved corners, strains and quadrature all read the basis through it.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+from scipy.sparse import csr_array
+
+from xfemnav.geometry.mesh import Mesh
+from xfemnav.geometry.subcells import SEVER, Subcells
+from xfemnav.mechanics.branch import branch_functions, branch_gradients, polar
+from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, Enrichment
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """A mesh, what the cuts do to it, and the table of basis functions."""
+
+    mesh: Mesh
+    subcells: Subcells
+    enrichment: Enrichment
+
+    def basis_in(self, points, parts) -> csr_array:
+        """B (k, n_rows) with u = B U at points (k, 2) mm, each taken in the part (k,) given: the part decides the lip."""
+        at, rows, values, _ = self._functions(np.asarray(points, float), np.asarray(parts))
+        return csr_array((values, (at, rows)), (len(points), self.enrichment.n_rows))
+
+    def gradient_in(self, points, parts) -> tuple[csr_array, csr_array]:
+        """The two matrices (k, n_rows), 1/mm, of the basis functions' derivatives along the plane's axes."""
+        at, rows, _, gradients = self._functions(np.asarray(points, float), np.asarray(parts))
+        shape = (len(points), self.enrichment.n_rows)
+        return tuple(csr_array((gradients[:, i], (at, rows)), shape) for i in (0, 1))
+
+    def basis_at(self, points, side: int | None = None) -> csr_array:
+        """B (k, n_rows) at any points (k, 2) mm of the organ; on a cut, `side` +1 is the left lip and -1 the right.
+
+        Raises ValueError for a point outside the mesh, or on a cut without a side.
+        """
+        points = np.asarray(points, float)
+        return self.basis_in(points, self.locate(points, side))
+
+    def locate(self, points, side: int | None = None) -> np.ndarray:
+        """Part (k,) that holds each point (k, 2) mm; see `basis_at`."""
+        points = np.asarray(points, float)
+        reach = SEVER * float(self.mesh.sizes.min())
+        at, triangle = self._tree.query(shapely.points(points), predicate="dwithin", distance=reach)
+        candidate = self.subcells.part[triangle]
+        lip = self._nearest_lip(points)
+        normal = self._lip_normals[lip] if lip is not None else np.zeros((len(points), 2))
+        centre = self.subcells.corners[triangle].mean(axis=1)
+        # Off the cut every candidate gives the same value; on it, the candidate's side of the lip decides.
+        preference = np.einsum("ki,ki->k", centre - points[at], normal[at]) * (side or 0)
+        depth = _depth(self.subcells.corners[triangle], points[at])
+        order = np.lexsort((-depth, -np.sign(preference) * (np.abs(depth) < reach), at))
+        first = order[np.concatenate([[True], np.diff(at[order]) != 0])] if len(order) else order
+        found = np.full(len(points), -1)
+        found[at[first]] = candidate[first]
+        if (found < 0).any():
+            where = points[found < 0][0]
+            raise ValueError(f"point ({where[0]:.3f}, {where[1]:.3f}) mm lies outside the mesh")
+        return found
+
+    def _nearest_lip(self, points):
+        if not len(self.subcells.lip_ends):
+            return None
+        return self._lip_tree.nearest(shapely.points(points))
+
+    @cached_property
+    def _tree(self):
+        return shapely.STRtree(shapely.polygons(self.subcells.corners))
+
+    @cached_property
+    def _lip_tree(self):
+        return shapely.STRtree(shapely.linestrings(self.subcells.lip_ends))
+
+    @cached_property
+    def _lip_normals(self):
+        d = self.subcells.lip_ends[:, 1] - self.subcells.lip_ends[:, 0]
+        return np.stack([-d[:, 1], d[:, 0]], axis=1) / np.linalg.norm(d, axis=1)[:, None]
+
+    @cached_property
+    def _entry_start(self):
+        """First entry of each part in the table of branch functions, and one past the last (p + 1,)."""
+        return np.searchsorted(self.enrichment.entry_part, np.arange(self.subcells.n_parts + 1))
+
+    @cached_property
+    def branch_parts(self) -> np.ndarray:
+        """Parts (k,) on which branch functions live."""
+        return np.unique(self.enrichment.entry_part)
+
+    def _functions(self, points, parts):
+        """All basis functions at each point: point index, row, value, gradient, as flat arrays."""
+        table, cell = self.enrichment, self.subcells.part_cell[parts]
+        k = len(points)
+        hat_gradient = self.mesh.gradients[cell]
+        corner = self.mesh.points[self.mesh.cells[cell, 0]]
+        hats = np.einsum("kai,ki->ka", hat_gradient, points - corner)
+        hats[:, 0] += 1
+        at, rows = [np.repeat(np.arange(k), 3)], [table.dof[parts].ravel()]
+        values, gradients = [hats.ravel()], [hat_gradient.reshape(-1, 2)]
+        count = self._entry_start[parts + 1] - self._entry_start[parts]
+        if count.any():
+            who = np.repeat(np.arange(k), count)
+            entry = np.arange(len(who)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(self._entry_start[parts], count)
+            first, a = table.entry_row[entry], table.entry_node[entry]
+            tip = table.tip[first]
+            x, travel = self.subcells.tips[tip], self.subcells.tip_travel[tip]
+            r, theta = polar(points[who], x, travel, table.entry_angle[entry])
+            f = branch_functions(r, theta) - table.shift[first[:, None] + np.arange(4)]
+            local = branch_gradients(np.maximum(r, 1e-300), theta)
+            frame = np.stack([travel, np.stack([-travel[:, 1], travel[:, 0]], axis=1)], axis=1)
+            df = np.einsum("eli,eij->elj", local, frame)
+            ramp = np.einsum("ea,ea->e", table.entry_ramp[entry], hats[who])
+            ramp_gradient = np.einsum("ea,eai->ei", table.entry_ramp[entry], hat_gradient[who])
+            hat, dhat = hats[who, a], hat_gradient[who, a]
+            weight, dweight = hat * ramp, hat[:, None] * ramp_gradient + dhat * ramp[:, None]
+            at.append(np.repeat(who, 4))
+            rows.append((first[:, None] + np.arange(4)).ravel())
+            values.append((weight[:, None] * f).ravel())
+            gradients.append((weight[:, None, None] * df + f[:, :, None] * dweight[:, None]).reshape(-1, 2))
+        return tuple(np.concatenate(x) for x in (at, rows, values, gradients))
+
+    def paper_coefficients(self, U) -> dict[str, np.ndarray]:
+        """The coefficients of Eq. (4) as the paper writes it, from those of this basis, U (n_rows, 2) mm.
+
+        Returns u (n_nodes, 2), a (n_nodes, 2) for set J, c (n_nodes, 4, 2) for set K, zero where a node has none.
+        Only for one cut with at most two pieces a node. Raises ValueError otherwise.
+        """
+        table, n = self.enrichment, len(self.mesh.points)
+        U = np.asarray(U)
+        c = np.zeros((n, 4, 2))
+        branch = table.kind >= BRANCH
+        c[table.node[branch], table.kind[branch] - BRANCH] = U[branch]
+        u, a = U[:n].copy(), np.zeros((n, 2))
+        extra = np.flatnonzero(table.kind == HEAVISIDE)
+        if len(np.unique(table.node[extra])) < len(extra):
+            raise ValueError("a node has more than two pieces: Eq. (4) has one H a node")
+        sign = self._row_sides()
+        i = table.node[extra]
+        u[i] = (U[i] + U[extra]) / 2
+        a[i] = (U[i] - U[extra]) / 2 * sign[i, None]
+        np.subtract.at(u, table.node[branch], table.shift[branch, None] * U[branch])
+        return {"u": u, "a": a, "c": c}
+
+    def _row_sides(self):
+        """H (n_rows,) of the piece of each row: the side of the cut of its largest lip part, 0 away from the cut."""
+        side = np.zeros(self.enrichment.n_rows)
+        length = np.linalg.norm(self.subcells.lip_ends[:, 1] - self.subcells.lip_ends[:, 0], axis=1)
+        for column, sign in ((0, 1.0), (1, -1.0)):
+            rows = self.enrichment.dof[self.subcells.lip_parts[:, column]]
+            np.add.at(side, rows, sign * length[:, None])
+        return np.sign(side)
+
+
+def _depth(corners, points):
+    """How far inside its triangle each point lies (k,): the smallest barycentric coordinate times the height, mm."""
+    a, b = corners, corners[:, [1, 2, 0]]
+    d = b - a
+    off = d[..., 0] * (points[:, None, 1] - a[..., 1]) - d[..., 1] * (points[:, None, 0] - a[..., 0])
+    return (off / np.linalg.norm(d, axis=2)).min(axis=1)
