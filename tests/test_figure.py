@@ -50,11 +50,9 @@ def run():
     rest = points[cells]
     inward = rest + 1e-6 * (rest.mean(axis=1, keepdims=True) - rest)
     solution = SimpleNamespace(rest=rest, moved=rest + opened(inward.reshape(-1, 2)).reshape(rest.shape))
-    field = np.where(mask[..., None], 0.0, np.nan)
     cavity = mask & (np.abs(first) < 3) & (second > 25)
-    field[cavity] = np.nan
-    nowhere = np.zeros_like(mask)
-    update = SimpleNamespace(updated=np.where(cavity, 0, values), cavity=cavity, overlap=nowhere, field=field)
+    update = SimpleNamespace(updated=np.where(cavity, 900, values), cavity=cavity, overlap=np.zeros_like(mask),
+                             field=np.zeros((*mask.shape, 2)))
     return plane, mask, problem, solution, update
 
 
@@ -122,6 +120,19 @@ def test_grey_window_reaches_below_zero_only_for_images_that_do(run):
     assert figure._window(plane, mask)[0] == 0
     scores = SimpleNamespace(values=plane.values - 500)
     assert figure._window(scores, mask)[0] < 0 < figure._window(scores, mask)[1]
+
+
+def test_only_tissue_is_shown_in_the_updated_slice(run):
+    """Neither the scalp nor the cavity, whatever its fill value; tissue that has moved out of the mask is."""
+    plane, mask, _, _, update = run
+    out = tuple(np.argwhere(~mask & (plane.values > 0))[0])
+    field = update.field.copy()
+    field[out] = 1.0
+    panel = Figure().subplots()
+    figure._updated(panel, plane, mask, SimpleNamespace(**{**vars(update), "field": field}), (0, 1000))
+    shown = ~np.ma.getmaskarray(panel.images[0].get_array()).T
+    assert shown[out] and shown.sum() == (mask & ~update.cavity).sum() + 1
+    assert not shown[update.cavity].any()
 
 
 def test_overlap_is_drawn_and_a_run_without_cut_too(run, tmp_path):

@@ -42,7 +42,7 @@ def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
         _preoperative(a, slice, problem, grey)
         _mask(b, slice, mask, problem)
         _mesh(c, problem)
-        _updated(d, slice, update, grey)
+        _updated(d, slice, mask, update, grey)
         _enrichment(e, problem, close)
         _displacement(f, solution)
         for panel, ink in zip((a, b, c, d, e, f), ("white", "white", "black", "white", "black", "black")):
@@ -85,10 +85,11 @@ def _mesh(panel, problem):
         _draw_cut(panel, cut, "black", "white")
 
 
-def _updated(panel, slice, update, grey):
-    """Fig. 2 (d): the slice as it is now, tissue only, in the grey window of (a)."""
+def _updated(panel, slice, mask, update, grey):
+    """Fig. 2 (d): the slice as it is now, in the grey window of (a): the organ and what has moved out of its mask."""
     panel.set_title("(d) updated slice, masked")
-    _draw_grey(panel, slice, np.where(np.isfinite(update.field).all(axis=2), update.updated, np.nan), grey)
+    tissue = (mask | (update.field != 0).any(axis=2)) & ~update.cavity
+    _draw_grey(panel, slice, np.where(tissue, update.updated, np.nan), grey)
     if update.overlap.any():
         lines = [o + s * np.arange(n) for o, s, n in zip(slice.origin, slice.spacing, slice.values.shape)]
         panel.contour(*lines, update.overlap.T, levels=[0.5], colors=OVERLAP, linewidths=1.0)

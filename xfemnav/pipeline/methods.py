@@ -77,9 +77,9 @@ def _cut(cut):
 
 def _enrichment(run):
     nodes, tips = run["enrichment"], TIPS[run["parameters"]["solve"]["tip_enrichment"]]
-    return (f"It was embedded in the mesh by the extended finite element method [1, 2]: {nodes['heaviside_nodes']} nodes "
-            f"carried the discontinuous function and {nodes['tip_nodes']} the tip functions, {nodes['n_dof']} degrees of "
-            f"freedom in all; {tips}.")
+    return ("It was embedded in the mesh by the extended finite element method [1, 2]: the discontinuous function was "
+            f"carried by {nodes['heaviside_nodes']} nodes and the tip functions by {nodes['tip_nodes']}, with "
+            f"{nodes['n_dof']} degrees of freedom in all; {tips}.")
 
 
 def _tissue(asked):
