@@ -72,14 +72,20 @@ def place_cut(path, boundary, name: str = "cut", *, internal: bool = False, cran
     _refuse_crossing(path, name)
     organ = shapely.Polygon(boundary)
     line = shapely.LineString(path)
-    inside = [part for part in shapely.get_parts(shapely.line_merge(shapely.intersection(organ, line)))
-              if part.geom_type == "LineString" and _is_interior(part, organ)]
+    inside = [
+        part
+        for part in shapely.get_parts(shapely.line_merge(shapely.intersection(organ, line)))
+        if part.geom_type == "LineString" and _is_interior(part, organ)
+    ]
     if not inside:
         raise XfemnavError("E301", _never_enters(path, organ, name))
     if len(inside) > 1:
         again = np.round(inside[1].coords[0], 1).tolist()
-        raise XfemnavError("E305", f"cut '{name}' leaves the organ and enters it again at {tuple(again)} mm; "
-                                   "split it into several cuts, or end it inside.")
+        raise XfemnavError(
+            "E305",
+            f"cut '{name}' leaves the organ and enters it again at {tuple(again)} mm; "
+            "split it into several cuts, or end it inside.",
+        )
     clipped = np.asarray(inside[0].coords)
     if line.project(shapely.Point(clipped[0])) > line.project(shapely.Point(clipped[-1])):
         clipped = clipped[::-1]
@@ -89,8 +95,11 @@ def place_cut(path, boundary, name: str = "cut", *, internal: bool = False, cran
     if internal:
         return Cut(clipped, name, mouth=False, craniotomy=False)
     if depth > PROLONG_MM:
-        raise XfemnavError("E302", f"cut '{name}' starts {depth:.1f} mm inside the organ, at {_mm(clipped[0])}; start it at the "
-                                   "surface, or give --internal for a cut with two tips.")
+        raise XfemnavError(
+            "E302",
+            f"cut '{name}' starts {depth:.1f} mm inside the organ, at {_mm(clipped[0])}; start it at the "
+            "surface, or give --internal for a cut with two tips.",
+        )
     warn("W301", f"cut '{name}' started {depth:.1f} mm inside the outline and was prolonged to it.")
     return Cut(np.vstack([_backwards_to(organ, clipped), clipped]), name, mouth=True, craniotomy=craniotomy)
 
@@ -101,8 +110,12 @@ def _without_repeats(path, name):
     step = np.linalg.norm(np.diff(path, axis=0), axis=1)
     keep = np.concatenate([[True], step > 1e-9])
     if keep.sum() < 2:
-        raise XfemnavError("E303", f"cut '{name}' has no length: all its points are {_mm(path[0])}; give at least two different points."
-                           if len(path) else f"cut '{name}' has no points; give at least two different points.")
+        raise XfemnavError(
+            "E303",
+            f"cut '{name}' has no length: all its points are {_mm(path[0])}; give at least two different points."
+            if len(path)
+            else f"cut '{name}' has no points; give at least two different points.",
+        )
     if not keep.all():
         warn("W302", f"cut '{name}': {int((~keep).sum())} repeated points were merged.")
     return path[keep]
@@ -118,8 +131,11 @@ def _refuse_crossing(path, name):
             meet = shapely.intersection(segments[i], segments[j])
             neighbours_touch = j == i + 1 and meet.geom_type == "Point"
             if not meet.is_empty and not neighbours_touch:
-                raise XfemnavError("E304", f"cut '{name}' crosses itself at {_mm(meet.centroid.coords[0])}, between segments "
-                                           f"{i + 1} and {j + 1}; draw it again or remove vertex {i + 2}.")
+                raise XfemnavError(
+                    "E304",
+                    f"cut '{name}' crosses itself at {_mm(meet.centroid.coords[0])}, between segments "
+                    f"{i + 1} and {j + 1}; draw it again or remove vertex {i + 2}.",
+                )
 
 
 def _is_interior(part, organ):
@@ -138,7 +154,7 @@ def _never_enters(path, organ, name):
 
 
 def _backwards_to(organ, path):
-    """Where the line of the first segment, prolonged backwards, meets the outline; the nearest point when that is far."""
+    """Where the first segment, prolonged backwards, meets the outline; the nearest point when that is far."""
     start = path[0]
     back = (start - path[1]) / np.linalg.norm(start - path[1])
     ray = shapely.LineString([start, start + 2 * PROLONG_MM * back])

@@ -36,7 +36,9 @@ class Mesh:
         if len(self.cells) and (self.cells.min() < 0 or self.cells.max() >= len(self.points)):
             raise ValueError("cells name points that do not exist")
         if (self.areas <= 0).any():
-            raise ValueError(f"cell {int(np.argmin(self.areas))} is flat or turned over (area {self.areas.min():.3g} mm2)")
+            raise ValueError(
+                f"cell {int(np.argmin(self.areas))} is flat or turned over (area {self.areas.min():.3g} mm2)"
+            )
 
     @cached_property
     def corners(self) -> np.ndarray:

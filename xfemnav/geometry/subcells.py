@@ -12,14 +12,8 @@ import numpy as np
 
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array, orient
-
-# Fractions of the local element size h.
-SNAP = 1e-3  # the cut is moved onto a node or edge as near as this
-ON_LINE = 1e-9  # a vertex as near as this to a line is on it
-REACH = 1e-6  # a segment that covers less of a chord than this does not cut it
-SEVER = 1e-5  # a contact shorter than this joins nothing
-
-UNCUT = -1
+from xfemnav.geometry.partition import REACH, UNCUT, Segments, split_cells, touched_cells, triangulate
+from xfemnav.geometry.snapping import SEVER, find_tips, node_sizes, snap
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +56,21 @@ class Subcells:
     def __post_init__(self):
         n = None
         for name, kind, shape in (
-            ("corners", float, (n, 3, 2)), ("part", np.int64, (n,)), ("part_cell", np.int64, (n,)),
-            ("joins", np.int64, (n, 4)), ("lip_cut", np.int64, (n,)), ("lip_ends", float, (n, 2, 2)),
-            ("lip_arc", float, (n, 2)), ("lip_parts", np.int64, (n, 2)), ("lip_on_edge", bool, (n, 2)),
-            ("rim_part", np.int64, (n,)), ("rim_ends", float, (n, 2, 2)), ("tip_cut", np.int64, (n,)),
-            ("tip_end", np.int64, (n,)), ("tips", float, (n, 2)), ("tip_travel", float, (n, 2)),
+            ("corners", float, (n, 3, 2)),
+            ("part", np.int64, (n,)),
+            ("part_cell", np.int64, (n,)),
+            ("joins", np.int64, (n, 4)),
+            ("lip_cut", np.int64, (n,)),
+            ("lip_ends", float, (n, 2, 2)),
+            ("lip_arc", float, (n, 2)),
+            ("lip_parts", np.int64, (n, 2)),
+            ("lip_on_edge", bool, (n, 2)),
+            ("rim_part", np.int64, (n,)),
+            ("rim_ends", float, (n, 2, 2)),
+            ("tip_cut", np.int64, (n,)),
+            ("tip_end", np.int64, (n,)),
+            ("tips", float, (n, 2)),
+            ("tip_travel", float, (n, 2)),
             ("tip_touch", np.int64, (n, 2)),
         ):
             object.__setattr__(self, name, frozen_array(getattr(self, name), kind, shape, name))
@@ -89,231 +93,13 @@ def embed(mesh: Mesh, cuts: tuple[Cut, ...]) -> Subcells:
 
     The network is first snapped to the mesh at 1e-3 of the local element size. Raises nothing for any simple polylines.
     """
-    node_h = _node_sizes(mesh)
-    paths = _snap(mesh, node_h, [cut.path for cut in cuts])
+    node_h = node_sizes(mesh)
+    paths = snap(mesh, node_h, [cut.path for cut in cuts])
     loops = [np.allclose(path[0], path[-1]) for path in paths]
-    segments = _Segments(paths)
-    ends = [] if not paths else _tips(mesh, node_h, paths, loops)
-    polygons = _split_cells(mesh, segments, [path[end] for _, path, end in ends])
+    segments = Segments(paths)
+    ends = [] if not paths else find_tips(mesh, node_h, paths, loops)
+    polygons = split_cells(mesh, segments, [path[end] for _, path, end in ends])
     return _assemble(mesh, paths, segments, ends, polygons)
-
-
-# --- snapping -------------------------------------------------------------------------------------------------------
-
-
-def _node_sizes(mesh):
-    total = np.bincount(mesh.cells.ravel(), np.repeat(mesh.sizes, 3), len(mesh.points))
-    return total / np.maximum(np.bincount(mesh.cells.ravel(), minlength=len(mesh.points)), 1)
-
-
-def _snap(mesh, node_h, paths):
-    """Move cut vertices onto near nodes and edges, and make near nodes vertices of the cut."""
-    edges = mesh.edges
-    edge_h = node_h[edges].min(axis=1)
-    snapped = []
-    for path in paths:
-        path = np.array([_snap_vertex(x, mesh.points, node_h, edges, edge_h) for x in path])
-        path = path[np.concatenate([[True], (np.diff(path, axis=0) != 0).any(axis=1)])]
-        snapped.append(_through_near_nodes(path, mesh.points, node_h) if len(path) > 1 else path)
-    # Ends of a branch are put on the cut that they touch.
-    for k, path in enumerate(snapped):
-        for end in (0, -1):
-            for other in snapped[:k] + snapped[k + 1:]:
-                nearest = _nearest_on_path(other, path[end])
-                h = node_h[np.argmin(np.sum((mesh.points - path[end]) ** 2, axis=1))]
-                if np.linalg.norm(nearest - path[end]) < SNAP * h:
-                    path[end] = nearest
-    return snapped
-
-
-def _snap_vertex(x, points, node_h, edges, edge_h):
-    to_node = np.linalg.norm(points - x, axis=1)
-    near = np.argmin(to_node / node_h)
-    if to_node[near] <= SNAP * node_h[near]:
-        return points[near].copy()
-    a, b = points[edges[:, 0]], points[edges[:, 1]]
-    t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)
-    foot = a + t[:, None] * (b - a)
-    gap = np.linalg.norm(foot - x, axis=1)
-    near = np.argmin(gap / edge_h)
-    return foot[near] if gap[near] <= SNAP * edge_h[near] else x
-
-
-def _through_near_nodes(path, points, node_h):
-    """Bend each segment through the nodes that it nearly touches, until it touches no other."""
-    for _ in range(10):
-        bent = [path[0]]
-        for a, b in zip(path[:-1], path[1:]):
-            length = np.linalg.norm(b - a)
-            t = (points - a) @ (b - a) / length
-            off = np.abs(orient(a, b, points)) / length
-            near = np.flatnonzero((off <= SNAP * node_h) & (t > 0) & (t < length))
-            near = near[(points[near] != a).any(axis=1) & (points[near] != b).any(axis=1)]
-            bent.extend(points[near[np.argsort(t[near])]])
-            bent.append(b)
-        if len(bent) == len(path):
-            break
-        path = np.array(bent)
-    return path
-
-
-def _nearest_on_path(path, x):
-    a, b = path[:-1], path[1:]
-    t = np.clip(np.einsum("ki,ki->k", x - a, b - a) / np.einsum("ki,ki->k", b - a, b - a), 0, 1)
-    foot = a + t[:, None] * (b - a)
-    return foot[np.argmin(np.sum((foot - x) ** 2, axis=1))]
-
-
-def _tips(mesh, node_h, paths, loops):
-    """Cut ends that are tips, as (cut, path, end): not on the outline, not on another cut, not a loop's end."""
-    a, b = mesh.points[mesh.boundary_edges].swapaxes(0, 1)
-    tips = []
-    for k, path in enumerate(paths):
-        for end in (0, -1):
-            x = path[end]
-            t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)
-            h = node_h[np.argmin(np.sum((mesh.points - x) ** 2, axis=1))]
-            to_rim = np.linalg.norm(a + t[:, None] * (b - a) - x, axis=1).min()
-            to_cut = min((np.linalg.norm(_nearest_on_path(other, x) - x) for j, other in enumerate(paths) if j != k),
-                         default=np.inf)
-            if not loops[k] and min(to_rim, to_cut) > SEVER * h:
-                tips.append((k, path, end))
-    return tips
-
-
-class _Segments:
-    """All segments of the network as plain floats: the partition of a cell is scalar work."""
-
-    def __init__(self, paths):
-        self.rows = []  # (ax, ay, dx, dy, length), unit direction
-        self.cut, self.start = [], []
-        for k, path in enumerate(paths):
-            arc = 0.0
-            for a, b in zip(path[:-1], path[1:]):
-                length = float(np.hypot(*(b - a)))
-                self.rows.append((*a.tolist(), *((b - a) / length).tolist(), length))
-                self.cut.append(k)
-                self.start.append(arc)
-                arc += length
-
-
-# --- splitting ------------------------------------------------------------------------------------------------------
-# A polygon is a list of edges (x, y, tag, by): it runs from (x, y) to the next edge's start. `tag` is the line that the
-# edge lies on: -1, -2, -3 the cell's edges opposite local node 0, 1, 2, and s >= 0 the line of segment s.
-# `by` is the segment that cuts along the edge, or UNCUT.
-
-
-def _split_cells(mesh, segments, tips):
-    """Convex polygons of every cell that a segment or tip touches: {cell: [polygon, ...]}."""
-    crossing = {}
-    for s, row in enumerate(segments.rows):
-        for c in _touched(mesh, np.array(row[:2]), np.array(row[2:4]), row[4]):
-            crossing.setdefault(int(c), []).append(s)
-    polygons = {}
-    for c, crossed in sorted(crossing.items()):
-        h = float(mesh.sizes[c])
-        (x0, y0), (x1, y1), (x2, y2) = mesh.corners[c].tolist()
-        cell = [[(x0, y0, -3, UNCUT), (x1, y1, -1, UNCUT), (x2, y2, -2, UNCUT)]]
-        for s in crossed:
-            cell = [half for polygon in cell for half in _split(polygon, s, segments.rows[s], h)]
-        cell = [_with_vertices(polygon, tips, h) for polygon in cell]
-        if len(cell) > 1 or len(cell[0]) > 3 or any(edge[3] != UNCUT for edge in cell[0]):
-            polygons[c] = cell
-    return polygons
-
-
-def _touched(mesh, a, d, length):
-    """Cells whose closed triangle comes within 1e-3 h of the segment."""
-    x = mesh.points - a
-    along, off = x @ d, x @ np.array([-d[1], d[0]])
-    slack = SNAP * mesh.sizes
-    along, off = along[mesh.cells], off[mesh.cells]
-    return np.flatnonzero((along.max(1) >= -slack) & (along.min(1) <= length + slack)
-                          & (off.max(1) >= -slack) & (off.min(1) <= slack))
-
-
-def _split(polygon, s, row, h):
-    """The two halves of a convex polygon on either side of segment s, or the polygon itself."""
-    ax, ay, dx, dy, length = row
-    along = [(x - ax) * dx + (y - ay) * dy for x, y, _, _ in polygon]
-    raw = [(y - ay) * dx - (x - ax) * dy for x, y, _, _ in polygon]
-    tolerance = ON_LINE * h
-    off = [0.0 if abs(o) < tolerance else o for o in raw]
-    if not min(off) < 0 < max(off):
-        return [_flag_edges_on_line(polygon, along, off, s, length, h)]
-    n = len(polygon)
-    for k in range(n):  # only vertices of the chord may lie on the line
-        if off[k] == 0 and off[(k + 1) % n] == 0:
-            worse = k if abs(raw[k]) > abs(raw[(k + 1) % n]) else (k + 1) % n
-            off[worse] = raw[worse] or tolerance
-    left, right, ends = [], [], []
-    for k, (x, y, tag, by) in enumerate(polygon):
-        o, o_next = off[k], off[(k + 1) % n]
-        if o == 0:
-            ends.append(along[k])
-            left.append((x, y, tag, by) if o_next > 0 else (x, y, s, UNCUT))
-            right.append((x, y, tag, by) if o_next < 0 else (x, y, s, UNCUT))
-            continue
-        (left if o > 0 else right).append((x, y, tag, by))
-        if o * o_next < 0:
-            x1, y1 = polygon[(k + 1) % n][:2]
-            w = o / (o - o_next)
-            xc, yc = x + w * (x1 - x), y + w * (y1 - y)
-            ends.append(along[k] + w * (along[(k + 1) % n] - along[k]))
-            (left if o > 0 else right).append((xc, yc, s, UNCUT))
-            (right if o > 0 else left).append((xc, yc, tag, by))
-    t0, t1 = min(ends), max(ends)
-    if min(t1, length) - max(t0, 0.0) <= REACH * h:
-        return [polygon]
-    return [_flag_chord(half, s, row, h) for half in (left, right)]
-
-
-def _flag_chord(half, s, row, h):
-    along = [(x - row[0]) * row[2] + (y - row[1]) * row[3] for x, y, _, _ in half]
-    on_line = [k for k, edge in enumerate(half) if edge[2] == s and edge[3] == UNCUT]
-    off = [1.0] * len(half)
-    for k in on_line:
-        off[k] = off[(k + 1) % len(half)] = 0.0
-    return _flag_edges_on_line(half, along, off, s, row[4], h)
-
-
-def _flag_edges_on_line(polygon, along, off, s, length, h):
-    """Mark the part of each edge on the segment's line that the segment covers; its ends become vertices."""
-    flagged = []
-    for k, (x, y, tag, by) in enumerate(polygon):
-        t0, t1 = along[k], along[(k + 1) % len(polygon)]
-        low, high = max(min(t0, t1), 0.0), min(max(t0, t1), length)
-        if off[k] != 0 or off[(k + 1) % len(polygon)] != 0 or by != UNCUT or high - low <= REACH * h:
-            flagged.append((x, y, tag, by))
-            continue
-        x1, y1 = polygon[(k + 1) % len(polygon)][:2]
-        start, stop = (low, high) if t1 > t0 else (high, low)
-        marks = [(t0, s if abs(start - t0) <= REACH * h else UNCUT)]
-        if marks[0][1] == UNCUT:
-            marks.append((start, s))
-        if abs(stop - t1) > REACH * h:
-            marks.append((stop, UNCUT))
-        for t, mark in marks:
-            w = (t - t0) / (t1 - t0)
-            flagged.append((x + w * (x1 - x), y + w * (y1 - y), tag, mark))
-    return flagged
-
-
-def _with_vertices(polygon, tips, h):
-    """The polygon with each tip that lies inside one of its edges as a vertex."""
-    for tip in tips:
-        for k, (x, y, tag, by) in enumerate(polygon):
-            x1, y1 = polygon[(k + 1) % len(polygon)][:2]
-            length = np.hypot(x1 - x, y1 - y)
-            t = ((tip[0] - x) * (x1 - x) + (tip[1] - y) * (y1 - y)) / length
-            off = ((tip[1] - y) * (x1 - x) - (tip[0] - x) * (y1 - y)) / length
-            if abs(off) < ON_LINE * h and REACH * h < t < length - REACH * h:
-                polygon = [*polygon[:k + 1], (float(tip[0]), float(tip[1]), tag, by), *polygon[k + 1:]]
-                break
-    return polygon
-
-
-# --- putting it together --------------------------------------------------------------------------------------------
 
 
 def _assemble(mesh, paths, segments, ends, polygons):
@@ -330,11 +116,11 @@ def _assemble(mesh, paths, segments, ends, polygons):
     touch = []
     for c, cell in polygons.items():
         for p, polygon in zip(part_of[c], cell):
-            triangles = _triangulate(np.array([edge[:2] for edge in polygon]), tip_points, mesh.sizes[c])
+            triangles = triangulate(np.array([edge[:2] for edge in polygon]), tip_points, mesh.sizes[c])
             corners.append(triangles)
             part.append(np.full(len(triangles), p))
     for t, tip in enumerate(tip_points):
-        for c in _touched(mesh, tip, np.array([1.0, 0.0]), 0.0):
+        for c in touched_cells(mesh, tip, np.array([1.0, 0.0]), 0.0):
             for p, polygon in zip(part_of.get(c, [c]), polygons.get(c, [mesh.corners[c]])):
                 xy = np.array([edge[:2] for edge in polygon])
                 if (np.hypot(*(xy - tip).T) < REACH * mesh.sizes[c]).any():
@@ -343,37 +129,24 @@ def _assemble(mesh, paths, segments, ends, polygons):
     rim_part, rim_ends = _rim(mesh, polygons, part_of)
     travel = [(path[0] - path[1]) if end == 0 else (path[-1] - path[-2]) for _, path, end in ends]
     return Subcells(
-        corners=np.concatenate(corners), part=np.concatenate(part), part_cell=part_cell,
+        corners=np.concatenate(corners),
+        part=np.concatenate(part),
+        part_cell=part_cell,
         joins=_joins(mesh, polygons, part_of),
-        lip_cut=[row[0] for row in lips], lip_arc=np.array([row[1] for row in lips]).reshape(-1, 2),
+        lip_cut=[row[0] for row in lips],
+        lip_arc=np.array([row[1] for row in lips]).reshape(-1, 2),
         lip_ends=np.array([row[2] for row in lips]).reshape(-1, 2, 2),
         lip_parts=np.array([row[3] for row in lips], dtype=int).reshape(-1, 2),
         lip_on_edge=np.array([row[4] for row in lips], dtype=bool).reshape(-1, 2),
-        rim_part=rim_part, rim_ends=rim_ends,
-        tip_cut=[k for k, _, _ in ends], tip_end=[end for _, _, end in ends],
+        rim_part=rim_part,
+        rim_ends=rim_ends,
+        tip_cut=[k for k, _, _ in ends],
+        tip_end=[end for _, _, end in ends],
         tips=np.array(tip_points).reshape(-1, 2),
         tip_travel=np.array([d / np.linalg.norm(d) for d in travel]).reshape(-1, 2),
-        tip_touch=np.array(touch, dtype=int).reshape(-1, 2), paths=tuple(paths),
+        tip_touch=np.array(touch, dtype=int).reshape(-1, 2),
+        paths=tuple(paths),
     )
-
-
-def _triangulate(xy, tips, h):
-    """Fan of triangles (k, 3, 2) from the vertex that makes the best ones; a tip is preferred."""
-    n = len(xy)
-    best, best_score = None, -1.0
-    for apex in range(n):
-        fan = np.array([[xy[apex], xy[(apex + k) % n], xy[(apex + k + 1) % n]] for k in range(1, n - 1)])
-        area = orient(fan[:, 0], fan[:, 1], fan[:, 2]) / 2
-        longest = np.linalg.norm(fan - fan[:, [1, 2, 0]], axis=2).max(axis=1)
-        solid = area > ON_LINE * h * longest
-        used = {tuple(x) for x in fan[solid].reshape(-1, 2)}
-        score = (area[solid] / longest[solid] ** 2).min() if solid.any() else 0.0
-        score += sum(np.hypot(*(xy[apex] - tip)) < REACH * h for tip in tips)
-        if len(used) == n or best is None:
-            score += len(used) == n
-            if score > best_score:
-                best, best_score = fan[solid], score
-    return best
 
 
 def _joins(mesh, polygons, part_of):
@@ -419,7 +192,9 @@ def _facets_on_edge(mesh, polygons, part_of, c, a, b):
         for n, (x, y, tag, by) in enumerate(polygon):
             if tag == opposite and by == UNCUT:
                 x1, y1 = polygon[(n + 1) % len(polygon)][:2]
-                t = sorted(((x - start[0]) * d[0] + (y - start[1]) * d[1], (x1 - start[0]) * d[0] + (y1 - start[1]) * d[1]))
+                t = sorted(
+                    ((x - start[0]) * d[0] + (y - start[1]) * d[1], (x1 - start[0]) * d[0] + (y1 - start[1]) * d[1])
+                )
                 found.append((t[0], t[1], p))
     return found
 

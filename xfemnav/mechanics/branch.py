@@ -19,7 +19,10 @@ def branch_gradients(r, theta) -> np.ndarray:
     sin_half, cos_half, sin, cos = np.sin(theta / 2), np.cos(theta / 2), np.sin(theta), np.cos(theta)
     # By r, and by theta divided by r; both carry 1 / sqrt(r).
     by_r = np.stack([sin_half, cos_half, sin_half * sin, cos_half * sin], axis=-1) / 2
-    by_theta = np.stack([cos_half / 2, -sin_half / 2, cos_half * sin / 2 + sin_half * cos, -sin_half * sin / 2 + cos_half * cos], axis=-1)
+    by_theta = np.stack(
+        [cos_half / 2, -sin_half / 2, cos_half * sin / 2 + sin_half * cos, -sin_half * sin / 2 + cos_half * cos],
+        axis=-1,
+    )
     cos, sin, s = cos[..., None], sin[..., None], s[..., None]
     return np.stack([cos * by_r - sin * by_theta, sin * by_r + cos * by_theta], axis=-1) / s[..., None]
 

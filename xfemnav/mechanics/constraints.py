@@ -33,8 +33,11 @@ def stack(parts: list[Constraints], n_dof: int) -> Constraints:
     """All conditions of several lists as one."""
     if not parts:
         return Constraints(csr_array((0, n_dof)), np.empty(0), np.empty(0))
-    return Constraints(vstack([p.C for p in parts], format="csr"), np.concatenate([p.d for p in parts]),
-                       np.concatenate([p.group for p in parts]))
+    return Constraints(
+        vstack([p.C for p in parts], format="csr"),
+        np.concatenate([p.d for p in parts]),
+        np.concatenate([p.group for p in parts]),
+    )
 
 
 def vector_rows(B, values, group: int) -> Constraints:
@@ -110,8 +113,11 @@ def _blocks(C):
 
 def _refuse_contradiction(mismatch, d):
     if len(mismatch) and np.abs(mismatch).max() > 1e-6 * max(1.0, np.abs(d).max(initial=0)):
-        raise XfemnavError("E403", f"two conditions on the same tissue differ by {np.abs(mismatch).max():.3g} mm; "
-                                   "give each lip one blade over each span, and hold no lip where the skull is fixed.")
+        raise XfemnavError(
+            "E403",
+            f"two conditions on the same tissue differ by {np.abs(mismatch).max():.3g} mm; "
+            "give each lip one blade over each span, and hold no lip where the skull is fixed.",
+        )
 
 
 def multipliers(constraints: Constraints, reaction, group: int) -> np.ndarray:

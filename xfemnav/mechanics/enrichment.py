@@ -18,7 +18,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from xfemnav.geometry.mesh import Mesh, frozen_array
-from xfemnav.geometry.subcells import REACH, Subcells
+from xfemnav.geometry.partition import REACH
+from xfemnav.geometry.subcells import Subcells
 from xfemnav.mechanics.branch import branch_functions, polar
 
 STANDARD, HEAVISIDE, BRANCH = 0, 1, 2
@@ -53,9 +54,17 @@ class Enrichment:
     def __post_init__(self):
         n = None
         for name, kind, shape in (
-            ("node", np.int64, (n,)), ("kind", np.int8, (n,)), ("tip", np.int64, (n,)), ("shift", float, (n,)),
-            ("dof", np.int64, (n, 3)), ("entry_part", np.int64, (n,)), ("entry_node", np.int64, (n,)),
-            ("entry_row", np.int64, (n,)), ("entry_angle", float, (n,)), ("entry_ramp", float, (n, 3)), ("body", np.int64, (n,)),
+            ("node", np.int64, (n,)),
+            ("kind", np.int8, (n,)),
+            ("tip", np.int64, (n,)),
+            ("shift", float, (n,)),
+            ("dof", np.int64, (n, 3)),
+            ("entry_part", np.int64, (n,)),
+            ("entry_node", np.int64, (n,)),
+            ("entry_row", np.int64, (n,)),
+            ("entry_angle", float, (n,)),
+            ("entry_ramp", float, (n, 3)),
+            ("body", np.int64, (n,)),
         ):
             object.__setattr__(self, name, frozen_array(getattr(self, name), kind, shape, name))
 
@@ -111,8 +120,13 @@ def enrich(mesh: Mesh, subcells: Subcells, tip_enrichment: str = "topological") 
         kind=np.concatenate([kind, np.tile(BRANCH + np.arange(4), len(tables))]),
         tip=np.concatenate([np.full(len(node), -1), np.repeat([t[0] for t in tables], 4)]),
         shift=np.concatenate([np.zeros(len(node)), shift.ravel()]),
-        dof=dof, entry_part=entry_part[order], entry_node=entry_node[order], entry_row=entry_row[order],
-        entry_angle=entry_angle[order], entry_ramp=np.ones((len(order), 3)), body=body,
+        dof=dof,
+        entry_part=entry_part[order],
+        entry_node=entry_node[order],
+        entry_row=entry_row[order],
+        entry_angle=entry_angle[order],
+        entry_ramp=np.ones((len(order), 3)),
+        body=body,
     )
 
 
@@ -154,7 +168,7 @@ def _held(mesh, subcells, cells):
     corner = subcells.corners.reshape(-1, 2)
     part = np.repeat(subcells.part, 3)
     tolerance = REACH * mesh.sizes[subcells.part_cell[part]]
-    found = [3 * part[np.hypot(*(corner - mesh.points[cells[part, a]]).T) <= tolerance]+ a for a in range(3)]
+    found = [3 * part[np.hypot(*(corner - mesh.points[cells[part, a]]).T) <= tolerance] + a for a in range(3)]
     return np.unique(np.concatenate(found))
 
 
@@ -172,7 +186,9 @@ def _adjacency(subcells):
 def _centroids(subcells):
     weight = np.bincount(subcells.part, subcells.areas, subcells.n_parts)
     middle = subcells.corners.mean(axis=1) * subcells.areas[:, None]
-    return np.stack([np.bincount(subcells.part, middle[:, i], subcells.n_parts) for i in (0, 1)], axis=1) / weight[:, None]
+    return (
+        np.stack([np.bincount(subcells.part, middle[:, i], subcells.n_parts) for i in (0, 1)], axis=1) / weight[:, None]
+    )
 
 
 def _tip_entries(mesh, subcells, dof, pieces_of, adjacency, centroids, tip):
@@ -220,7 +236,7 @@ def _holds_other_end(mesh, subcells, tip, node):
 
 
 def _unwrap(adjacency, centroids, start, inside, x, travel):
-    """Angle (p,) of each part about the tip, continuous from part to part but not across the cut; NaN if not reached."""
+    """Angle (p,) of each part about the tip, continuous except across the cut; NaN where not reached."""
     raw = np.arctan2(travel[0] * (centroids - x)[:, 1] - travel[1] * (centroids - x)[:, 0], (centroids - x) @ travel)
     angle = np.full(len(centroids), np.nan)
     angle[start] = raw[start]

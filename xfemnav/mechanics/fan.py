@@ -23,15 +23,17 @@ def graded_triangles(space) -> tuple[np.ndarray, np.ndarray]:
     fans = at_tip.sum(axis=1) == 1
     turn = (np.argmax(at_tip[fans], axis=1)[:, None] + np.arange(3)) % 3
     pieces = [(sub.corners[~branched], sub.part[~branched])]
-    for weights, chosen, owner in ((_fan(), np.take_along_axis(corners[fans], turn[:, :, None], axis=1), part[fans]),
-                                   (_uniform(), corners[~fans], part[~fans])):
+    for weights, chosen, owner in (
+        (_fan(), np.take_along_axis(corners[fans], turn[:, :, None], axis=1), part[fans]),
+        (_uniform(), corners[~fans], part[~fans]),
+    ):
         triangles = np.einsum("wka,tai->twki", weights, chosen).reshape(-1, 3, 2)
         pieces.append((triangles, np.repeat(owner, len(weights))))
     return np.concatenate([p[0] for p in pieces]), np.concatenate([p[1] for p in pieces])
 
 
 def _fan():
-    """Barycentric corners (w, 3, 3) of a fan about the first corner: rings of radius 2^-k, rays evenly along the far edge."""
+    """Barycentric corners (w, 3, 3) of a fan about the first corner: rings of radius 2^-k, evenly spaced rays."""
     radius = np.concatenate([[0.0], 0.5 ** np.arange(RINGS - 1, -1, -1)])
     ray = np.arange(RAYS + 1) / RAYS
 

@@ -40,8 +40,11 @@ class Retraction:
         if self.side not in (LEFT, RIGHT):
             raise ValueError("side is +1 (left) or -1 (right)")
         if self.blade is not None and not 0 <= self.blade[0] < self.blade[1] <= 1:
-            raise XfemnavError("E402", f"blade {self.blade[0]:g},{self.blade[1]:g} is not on the cut; give FROM,TO with "
-                                       "0 <= FROM < TO < 1 (0 the mouth, 1 the tip).")
+            raise XfemnavError(
+                "E402",
+                f"blade {self.blade[0]:g},{self.blade[1]:g} is not on the cut; give FROM,TO with "
+                "0 <= FROM < TO < 1 (0 the mouth, 1 the tip).",
+            )
 
     @property
     def holds(self) -> bool:
@@ -110,12 +113,18 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
         limit = end - margin if is_last else margin
         beyond = stop > limit + 1e-9 if is_last else start < limit - 1e-9
         if beyond and retraction.blade is not None:
-            warn("W404", f"the blade on cut '{cuts[k].name}' ended less than two elements ({margin:.1f} mm) from a tip and was "
-                         f"shortened to {limit / end:.2f} of the cut.")
+            warn(
+                "W404",
+                f"the blade on cut '{cuts[k].name}' ended less than two elements ({margin:.1f} mm) from a tip and was "
+                f"shortened to {limit / end:.2f} of the cut.",
+            )
         start, stop = (start, min(stop, limit)) if is_last else (max(start, limit), stop)
     if stop - start <= 1e-9:
-        raise XfemnavError("E402", f"nothing of cut '{cuts[k].name}' ({end:.1f} mm) is left for the blade to hold; use a longer cut "
-                                   "or smaller elements (--corridor-element-mm).")
+        raise XfemnavError(
+            "E402",
+            f"nothing of cut '{cuts[k].name}' ({end:.1f} mm) is left for the blade to hold; use a longer cut "
+            "or smaller elements (--corridor-element-mm).",
+        )
     return start, stop
 
 

@@ -48,7 +48,9 @@ class Rim:
     lengths: np.ndarray
 
 
-def skull_conditions(space: Space, skull: Skull, mouths, young_kpa: float, measured=None) -> tuple[Constraints, csr_array]:
+def skull_conditions(
+    space: Space, skull: Skull, mouths, young_kpa: float, measured=None
+) -> tuple[Constraints, csr_array]:
     """Conditions C U = d on the outline and the spring matrix (n_dof, n_dof) kPa of the ramp.
 
     mouths (m, 2) mm: the mouths about which the skull is open. measured (k, 4 or 5): x, y, ux, uy mm and, where it
@@ -161,7 +163,9 @@ def _measured(space, rim, measured):
     off = outline.distance(shapely.points(measured[:, :2]))
     if off.max() > MEASURED_OFF_MM:
         x, y = measured[np.argmax(off), :2]
-        raise XfemnavError("E408", f"measured point ({x:.1f}, {y:.1f}) mm is {off.max():.1f} mm from the outline; check its frame.")
+        raise XfemnavError(
+            "E408", f"measured point ({x:.1f}, {y:.1f}) mm is {off.max():.1f} mm from the outline; check its frame."
+        )
     total = outline.length
     mouths = _mouth_arcs(sub, outline)
     origin = mouths[0] if len(mouths) else 0.0
@@ -170,7 +174,9 @@ def _measured(space, rim, measured):
     arc = _arc(outline, measured[:, :2], origin)
     if measured.shape[1] == 5:
         arc = _beside_mouth(arc, measured[:, 4], np.mod(mouths - origin, total), total)
-    bounds = np.concatenate([np.sort(np.mod(mouths - origin, total)), [total]]) if len(mouths) else np.array([0.0, total])
+    bounds = (
+        np.concatenate([np.sort(np.mod(mouths - origin, total)), [total]]) if len(mouths) else np.array([0.0, total])
+    )
     known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
     for low, high in zip(bounds[:-1], bounds[1:]):
         own, here = (arc >= low) & (arc <= high), (rim_arc >= low) & (rim_arc <= high)

@@ -61,9 +61,18 @@ class Problem:
         return self.space.enrichment
 
 
-def pose(mesh: Mesh, cuts: tuple[Cut, ...], material: Material, skull: Skull, retractions: tuple[Retraction, ...] = (), *,
-         boundary_displacement=None, tip_enrichment: str = "topological", lip_constraint: str = "mortar",
-         hold_tip: bool = False) -> Problem:
+def pose(
+    mesh: Mesh,
+    cuts: tuple[Cut, ...],
+    material: Material,
+    skull: Skull,
+    retractions: tuple[Retraction, ...] = (),
+    *,
+    boundary_displacement=None,
+    tip_enrichment: str = "topological",
+    lip_constraint: str = "mortar",
+    hold_tip: bool = False,
+) -> Problem:
     """State the problem of Sect. 5: a cut organ in its skull, with retractors on the lips.
 
     Parameters
@@ -77,8 +86,8 @@ def pose(mesh: Mesh, cuts: tuple[Cut, ...], material: Material, skull: Skull, re
     Raises
     ------
     XfemnavError
-        E306 a piece that nothing holds, E402 a blade off its cut, E403 two blades on one lip, E405 lips pushed into each
-        other, E406 nothing holds the organ, E408 measured points off the outline.
+        E306 a piece that nothing holds, E402 a blade off its cut, E403 two blades on one lip, E405 lips pushed into
+        each         other, E406 nothing holds the organ, E408 measured points off the outline.
     """
     if lip_constraint not in LIP_CONSTRAINTS:
         raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
@@ -91,7 +100,9 @@ def pose(mesh: Mesh, cuts: tuple[Cut, ...], material: Material, skull: Skull, re
     spans = _spans(space, cuts, retractions, lip_constraint)
     _refuse_overlap(cuts, retractions, spans)
     _refuse_swapped(space, cuts, retractions, spans)
-    mouths = np.array([path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(-1, 2)
+    mouths = np.array([path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(
+        -1, 2
+    )
     outline, springs = skull_conditions(space, skull, mouths, material.young_kpa, boundary_displacement)
     conditions, load = [outline], np.zeros(n_dof)
     for group, (retraction, span) in enumerate(zip(retractions, spans)):
@@ -103,8 +114,19 @@ def pose(mesh: Mesh, cuts: tuple[Cut, ...], material: Material, skull: Skull, re
             conditions.append(pointwise_rows(space, retraction, span, group, hold_tip))
     constraints = stack(conditions, n_dof)
     removed, crumbs = _loose(space, constraints, springs)
-    return Problem(space, cuts, material, skull, retractions, spans, stack([constraints, *crumbs], n_dof), springs, load, removed,
-                   lip_constraint)
+    return Problem(
+        space,
+        cuts,
+        material,
+        skull,
+        retractions,
+        spans,
+        stack([constraints, *crumbs], n_dof),
+        springs,
+        load,
+        removed,
+        lip_constraint,
+    )
 
 
 def _warn_of_lost_cuts(space, cuts):
@@ -116,14 +138,19 @@ def _warn_of_lost_cuts(space, cuts):
         if not cut.mouth and cut.length < 3 * size:
             split = (table.dof[sub.lip_parts[own, 0]] != table.dof[sub.lip_parts[own, 1]]).any()
             branch = np.isin(sub.lip_parts[own], table.entry_part).any() and (table.kind >= BRANCH).any()
-            warn("W303", f"internal cut '{cut.name}' is {cut.length:.2f} mm long, under three elements ({size:.2f} mm): "
-                         + ("it is resolved coarsely." if split or branch else "it cannot open on this mesh."))
+            warn(
+                "W303",
+                f"internal cut '{cut.name}' is {cut.length:.2f} mm long, under three elements ({size:.2f} mm): "
+                + ("it is resolved coarsely." if split or branch else "it cannot open on this mesh."),
+            )
 
 
 def _spans(space, cuts, retractions, lip_constraint):
-    """Held part (r, 2) mm of each lip; the paper's rule, for pointwise without a blade, is every crossing but the tip cell's."""
-    spans = [(0.0, np.inf) if lip_constraint == "pointwise" and r.holds and r.blade is None
-             else held_span(space, cuts, r) for r in retractions]
+    """Held part (r, 2) mm of each lip; for pointwise rows without a blade the whole lip, as in the paper."""
+    spans = [
+        (0.0, np.inf) if lip_constraint == "pointwise" and r.holds and r.blade is None else held_span(space, cuts, r)
+        for r in retractions
+    ]
     return np.array(spans).reshape(-1, 2)
 
 
@@ -132,8 +159,11 @@ def _refuse_overlap(cuts, retractions, spans):
         for other, b in list(zip(retractions, spans))[:i]:
             if (one.cut, one.side) == (other.cut, other.side) and min(a[1], b[1]) > max(a[0], b[0]):
                 side = "left" if one.side > 0 else "right"
-                raise XfemnavError("E403", f"two retractions hold the {side} lip of cut '{cuts[one.cut].name}' between "
-                                           f"{max(a[0], b[0]):.1f} and {min(a[1], b[1]):.1f} mm; give each its own part of the lip.")
+                raise XfemnavError(
+                    "E403",
+                    f"two retractions hold the {side} lip of cut '{cuts[one.cut].name}' between "
+                    f"{max(a[0], b[0]):.1f} and {min(a[1], b[1]):.1f} mm; give each its own part of the lip.",
+                )
 
 
 def _refuse_swapped(space, cuts, retractions, spans):
@@ -148,8 +178,11 @@ def _refuse_swapped(space, cuts, retractions, spans):
             normals = lip_quadrature(space, one.cut, 1, span, n=1).normals
             opening = np.einsum("ki,ki->k", one.displacement(normals) - other.displacement(normals), normals)
             if opening.min() < -1e-9:
-                raise XfemnavError("E405", f"left and right look swapped on cut '{cuts[one.cut].name}': its lips are pushed "
-                                           f"{-opening.min():.1f} mm into each other; left is left when walking from the mouth to the tip.")
+                raise XfemnavError(
+                    "E405",
+                    f"left and right look swapped on cut '{cuts[one.cut].name}': its lips are pushed "
+                    f"{-opening.min():.1f} mm into each other; left is left when walking from the mouth to the tip.",
+                )
 
 
 def _loose(space, constraints, springs):
@@ -163,8 +196,11 @@ def _loose(space, constraints, springs):
         where = sub.corners[np.isin(sub.part, parts)].mean(axis=(0, 1))
         place = f"({where[0]:.1f}, {where[1]:.1f}) mm"
         if len(body_area) == 1:
-            raise XfemnavError("E406", "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
-                                       "use --skull fixed, or hold a lip.")
+            raise XfemnavError(
+                "E406",
+                "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
+                "use --skull fixed, or hold a lip.",
+            )
         if body_area[body] < np.median(space.mesh.areas):
             warn("W311", f"a loose piece of {body_area[body]:.3g} mm2 at {place} was cut free and removed.")
             removed[parts] = True
@@ -172,8 +208,11 @@ def _loose(space, constraints, springs):
             pick = csr_array((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), table.n_rows))
             crumbs.append(vector_rows(pick, np.zeros((len(rows), 2)), SKULL))
             continue
-        raise XfemnavError("E306", f"the cut separates {100 * body_area[body] / area.sum():.1f} % of the organ ({body_area[body]:.0f} mm2, "
-                                   f"about {place}) from the rest, and nothing holds that piece; let the cut end inside, or hold the piece.")
+        raise XfemnavError(
+            "E306",
+            f"the cut separates {100 * body_area[body] / area.sum():.1f} % of the organ ({body_area[body]:.0f} mm2, "
+            f"about {place}) from the rest, and nothing holds that piece; let the cut end inside, or hold the piece.",
+        )
     return removed, crumbs
 
 

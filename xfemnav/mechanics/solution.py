@@ -19,7 +19,7 @@ RESIDUAL_LIMIT = 1e-8
 
 @dataclass(frozen=True)
 class RetractorForce:
-    """What one retractor does: force (2,) mN per mm of thickness on the tissue, mean normal pressure kPa on the held lip."""
+    """What one retractor does to its lip: force (2,) mN per mm of thickness, mean normal pressure kPa."""
 
     cut: int
     side: int
@@ -31,7 +31,7 @@ class RetractorForce:
 class Solution:
     """The deformed organ.
 
-    U (n_rows, 2) mm: coefficients of the basis; residual: relative; energy: strain energy, kPa mm^2 per mm of thickness.
+    U (n_rows, 2) mm: coefficients of the basis; residual: relative; energy: strain energy, kPa mm^2 (per mm thick).
     Triangles of the cut organ, finer at the tips: rest (t, 3, 2) mm, moved (t, 3, 2) mm, the part (t,) of each,
     strain (t, 3) xx, yy, xy, and det_F (t,), the ratio of moved to resting area.
     """
@@ -51,7 +51,13 @@ class Solution:
 
     def __post_init__(self):
         t = len(self.rest)
-        for name, shape in (("U", (None, 2)), ("rest", (t, 3, 2)), ("moved", (t, 3, 2)), ("strain", (t, 3)), ("det_F", (t,))):
+        for name, shape in (
+            ("U", (None, 2)),
+            ("rest", (t, 3, 2)),
+            ("moved", (t, 3, 2)),
+            ("strain", (t, 3)),
+            ("det_F", (t,)),
+        ):
             object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
         for name in ("part", "body"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), np.int64, (t,), name))
@@ -98,14 +104,23 @@ def solve(problem: Problem) -> Solution:
     size = np.linalg.norm(scale * right) + np.linalg.norm(scale * (T.T @ problem.load))
     residual = float(np.linalg.norm(scale * right - scaled @ y) / size) if size else 0.0
     if not residual <= RESIDUAL_LIMIT:
-        raise XfemnavError("E407", f"the linear system was not solved: relative residual {residual:.1e} is above {RESIDUAL_LIMIT:.0e}; "
-                                   "this is a bug, please report it with the run's parameters.")
+        raise XfemnavError(
+            "E407",
+            f"the linear system was not solved: relative residual {residual:.1e} is above {RESIDUAL_LIMIT:.0e}; "
+            "this is a bug, please report it with the run's parameters.",
+        )
     U = U0 + T @ (scale * y)
     reaction = K @ U - problem.load
     energy = float(U @ (K @ U) / 2)
     U = U.reshape(-1, 2)
-    return Solution(U=U, residual=residual, energy=energy, **_triangles(problem, U), retractor=_forces(problem, reaction),
-                    **_lip_error(problem, U))
+    return Solution(
+        U=U,
+        residual=residual,
+        energy=energy,
+        **_triangles(problem, U),
+        retractor=_forces(problem, reaction),
+        **_lip_error(problem, U),
+    )
 
 
 def _triangles(problem, U):
@@ -121,7 +136,14 @@ def _triangles(problem, U):
     H = np.einsum("tai,taj->tij", u, gradient)
     strain = np.stack([H[:, 0, 0], H[:, 1, 1], (H[:, 0, 1] + H[:, 1, 0]) / 2], axis=1)
     det_F = (1 + H[:, 0, 0]) * (1 + H[:, 1, 1]) - H[:, 0, 1] * H[:, 1, 0]
-    return {"rest": rest, "moved": rest + u, "part": part, "body": problem.enrichment.body[part], "strain": strain, "det_F": det_F}
+    return {
+        "rest": rest,
+        "moved": rest + u,
+        "part": part,
+        "body": problem.enrichment.body[part],
+        "strain": strain,
+        "det_F": det_F,
+    }
 
 
 def _forces(problem, reaction):
@@ -155,8 +177,10 @@ def _lip_error(problem, U):
         u = problem.space.basis_in(points, parts) @ U
         errors.append(np.linalg.norm(u - retraction.displacement(normals), axis=1))
     error = np.concatenate(errors)
-    return {"lip_error_rms_mm": float(np.sqrt((error**2).mean())) if len(error) else 0.0,
-            "lip_error_max_mm": float(error.max(initial=0.0))}
+    return {
+        "lip_error_rms_mm": float(np.sqrt((error**2).mean())) if len(error) else 0.0,
+        "lip_error_max_mm": float(error.max(initial=0.0)),
+    }
 
 
 def _uniform(space, retraction, span, n):

@@ -11,7 +11,8 @@ import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.subcells import SEVER, Subcells
+from xfemnav.geometry.snapping import SEVER
+from xfemnav.geometry.subcells import Subcells
 from xfemnav.mechanics.branch import branch_functions, branch_gradients, polar
 from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, Enrichment
 
@@ -25,7 +26,7 @@ class Space:
     enrichment: Enrichment
 
     def basis_in(self, points, parts) -> csr_array:
-        """B (k, n_rows) with u = B U at points (k, 2) mm, each taken in the part (k,) given: the part decides the lip."""
+        """B (k, n_rows) with u = B U at points (k, 2) mm, each taken in the part (k,) given: it decides the lip."""
         at, rows, values, _ = self._functions(np.asarray(points, float), np.asarray(parts))
         return csr_array((values, (at, rows)), (len(points), self.enrichment.n_rows))
 
@@ -105,7 +106,11 @@ class Space:
         count = self._entry_start[parts + 1] - self._entry_start[parts]
         if count.any():
             who = np.repeat(np.arange(k), count)
-            entry = np.arange(len(who)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(self._entry_start[parts], count)
+            entry = (
+                np.arange(len(who))
+                - np.repeat(np.cumsum(count) - count, count)
+                + np.repeat(self._entry_start[parts], count)
+            )
             first, a = table.entry_row[entry], table.entry_node[entry]
             tip = table.tip[first]
             x, travel = self.subcells.tips[tip], self.subcells.tip_travel[tip]
