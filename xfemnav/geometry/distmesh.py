@@ -16,55 +16,55 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.delaunay import Triangulation, holes, insert, mark_inside, square
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.outline_nodes import outline_nodes
-from xfemnav.geometry.relaxation import lift_worst, optimal_delaunay, truss
-from xfemnav.geometry.sizing import cones, is_inside
+from xfemnav.geometry.relaxation import lift_worst, mean_quality, optimal_delaunay, truss
+from xfemnav.geometry.sizing import cones, sample_inside
 
 MOST_NODES, FEWEST_NODES = 400_000, 12
 TURN = np.radians(15)  # the lattice's rows are 15 degrees or more from both axes, along which many cuts run
 NEAR, DEEP = 0.72, 0.5  # room that a lattice node keeps, in h, to other nodes and to the outline
 HOLE = 0.8  # a cell whose circumscribed radius exceeds this, in h, can take one more node (equilateral: .58)
-STRAY = 0.2  # an outline edge that leaves the outline by more than this, in its length, is refined
-SMALLEST = 1 / 16  # a feature of the outline that would need elements smaller than this part of the wanted is refused
-GROWTH = 0.3  # mm per mm about places where the outline is finer than the elements
+STRAY = 0.2  # an outline edge that leaves the outline by more than this, in its length, is too coarse
+SMALLEST = 1 / 16  # a detail that would need elements smaller than this part of the wanted ones is refused
+GROWTH = 0.25  # mm per mm about details that are finer than the elements
+CYCLES, STALL = 6, 2e-3  # most cycles of relaxation; it ends when the mean quality rises by less
+ROUNDS = 12  # times that the mesh is begun anew with smaller elements at newly found details
 
 
 def distmesh(outline, size: float | Callable, *, min_quality: float = 0.5) -> Mesh:
-    """Mesh of the inside of `outline` (n, 2) mm, counter-clockwise and simple, the last point not repeated.
+    """Mesh of the inside of `outline` (n, 2) mm, a simple loop, the last point not repeated.
 
     `size` is the wanted edge length in mm, a number or a function (n, 2) -> (n,) such as a `SizeField`. Corners of
-    the outline that turn by more than 40 degrees are nodes. Nodes of the outline come first, in its order. Parts of
-    the outline thinner than the elements get smaller ones, so that the mesh has the outline's topology. Same input,
-    same bytes. Raises XfemnavError E207 when the size gives too many or too few nodes, E208 when the outline crosses
-    itself, has a detail too fine for the size, or a triangle has quality below `min_quality`.
+    the outline that turn by more than 40 degrees are nodes. Nodes of the outline come first, in its order,
+    counter-clockwise. Parts of the outline thinner than the elements get smaller ones, so that the mesh has the
+    outline's topology: one piece, no holes. Same input, same bytes.
+    Raises XfemnavError E207 when the size gives too many or too few nodes; E208 when the outline crosses itself, has a
+    detail too fine for the size, or leaves a triangle of quality below `min_quality`.
     """
     outline = _checked(outline)
     wanted = size if callable(size) else (lambda points: np.full(len(points), float(size)))
-    expected = expected_nodes(outline, wanted)
-    if not FEWEST_NODES <= expected <= MOST_NODES:
-        raise XfemnavError(
-            "E207",
-            f"the mesh would have about {expected:.3g} nodes, outside {FEWEST_NODES} to {MOST_NODES}; "
-            f"use a {'smaller' if expected < FEWEST_NODES else 'larger'} element size",
-        )
-    T, n_outline, size_at = _outline_triangulation(outline, wanted, expected)
-    if callable(size) or size_at is not wanted:
-        _fill_by_fronts(T, size_at)
-    else:
-        _fill_by_lattice(T, float(size))
-    _fill_holes(T, size_at)
-    return _gate(_relaxed(T, n_outline, size_at), min_quality)
-
-
-def expected_nodes(outline, wanted: Callable) -> float:
-    """Estimate of the number of nodes: one for each 3^.5/2 h^2 of area, and half a node for each h of outline."""
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    n = 160
-    grid = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2)
-    centres = low + (grid + 0.5) / n * (high - low)
-    h = wanted(centres[is_inside(centres, outline)])
-    length = np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1)
-    interior = shapely.Polygon(outline).area * np.mean(1 / h**2) / (np.sqrt(3) / 2) if len(h) else 0.0
-    return float(interior + np.sum(length / wanted(outline)) / 2)
+    spots = np.empty((0, 3))
+    for _ in range(ROUNDS):
+        size_at = _lowered(wanted, spots) if len(spots) else wanted
+        T, n_outline, details = _outline_triangulation(outline, size_at)
+        if len(details) == 0:
+            if callable(size) or len(spots):
+                _fill_by_fronts(T, size_at)
+            else:
+                _fill_by_lattice(T, float(size))
+            _fill_holes(T, size_at)
+            mesh = _relaxed(T, n_outline, size_at)
+            details = _flat(mesh, min_quality)
+            if len(details) == 0:
+                return mesh
+        if (details[:, 2] < SMALLEST * wanted(details[:, :2])).any():
+            break
+        spots = np.concatenate([spots, details])
+    x, y, h = details[np.argmin(details[:, 2])]
+    raise XfemnavError(
+        "E208",
+        f"no mesh of quality {min_quality:g}: near ({x:.1f}, {y:.1f}) mm the outline has a detail too fine for "
+        f"elements of {wanted(np.array([[x, y]]))[0]:.2g} mm; use {h:.2g} mm there, or smooth the mask",
+    )
 
 
 def _checked(outline) -> np.ndarray:
@@ -79,46 +79,43 @@ def _checked(outline) -> np.ndarray:
     return outline if polygon.exterior.is_ccw else outline[::-1].copy()
 
 
-def _outline_triangulation(outline, wanted, expected) -> tuple[Triangulation, int, Callable]:
-    """Delaunay triangulation of nodes on the outline that holds all its edges; their number; the size that achieves
-    this.
+def _lowered(wanted, spots) -> Callable:
+    """The size `wanted`, lowered at the `spots` (k, 3) = x, y, size mm, and growing from there."""
+    slopes = np.full(len(spots), GROWTH)
+    return lambda points: np.minimum(wanted(points), cones(points, spots[:, :2].copy(), spots[:, 2].copy(), slopes))
 
-    An edge that another node hides, or that strays from the outline, marks a detail finer than the elements: the size
-    is lowered there, with `GROWTH` around, and the outline is divided again. Raises E208 when a detail is too fine.
+
+def expected_nodes(outline, size_at: Callable) -> float:
+    """Estimate of the number of nodes: one for each 3^.5/2 h^2 of area, and half a node for each h of outline."""
+    points, area = sample_inside(outline, 160)
+    interior = area * np.sum(1 / size_at(points) ** 2) / (np.sqrt(3) / 2)
+    length = np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1)
+    return float(interior + np.sum(length / size_at(outline)) / 2)
+
+
+def _outline_triangulation(outline, size_at) -> tuple[Triangulation, int, np.ndarray]:
+    """Delaunay triangulation of nodes on the outline, their number, and details (k, 3) = x, y, size that it misses.
+
+    A detail is an outline edge that the triangulation does not hold, because another node is close, or that strays
+    from the outline: it wants half the size. When there is none, the outline's edges bound the cells marked inside.
+    Raises E207 when there will be too many or too few nodes.
     """
-    spots, sizes = np.empty((0, 2)), np.empty(0)
-    size_at = wanted
-    for _ in range(12):
-        nodes, stray = outline_nodes(outline, size_at)
-        T = square(outline.min(axis=0), outline.max(axis=0), int(1.5 * expected) + 4 * len(nodes) + 1000)
-        unlimited = np.zeros(len(nodes))
-        placed = insert(T, nodes, unlimited, np.full(len(nodes), -1), 0.0, 0.0)
-        there = mark_inside(T, 4, len(nodes)) if (placed >= 0).all() else placed >= 0
-        edges = np.roll(nodes, -1, axis=0) - nodes
-        length = np.linalg.norm(edges, axis=1)
-        bad = ~there | (stray > STRAY * length)
-        if not bad.any():
-            T.sizes[4 : 4 + len(nodes)] = size_at(nodes)
-            return T, len(nodes), size_at
-        middle = (nodes + edges / 2)[bad]
-        finer = length[bad] / 2
-        too_fine = finer < SMALLEST * wanted(middle)
-        if too_fine.any():
-            break
-        spots, sizes = np.concatenate([spots, middle]), np.concatenate([sizes, finer])
-        size_at = _lowered(wanted, spots, sizes)
-    x, y = middle[np.argmin(finer)]
-    raise XfemnavError(
-        "E208",
-        f"the outline has a detail too fine for the elements near ({x:.1f}, {y:.1f}) mm; smooth the mask there, "
-        f"or use elements of {finer.min() * 4:.2g} mm",
-    )
-
-
-def _lowered(wanted, spots, sizes) -> Callable:
-    """The size `wanted`, limited to `sizes` (k,) mm at `spots` (k, 2) and growing from there."""
-    slopes = np.full(len(sizes), GROWTH)
-    return lambda points: np.minimum(wanted(points), cones(points, spots, sizes, slopes))
+    expected = expected_nodes(outline, size_at)
+    if not FEWEST_NODES <= expected <= MOST_NODES:
+        raise XfemnavError(
+            "E207",
+            f"the mesh would have about {expected:.3g} nodes, outside {FEWEST_NODES} to {MOST_NODES}; "
+            f"use a {'smaller' if expected < FEWEST_NODES else 'larger'} element size",
+        )
+    nodes, stray = outline_nodes(outline, size_at)
+    T = square(outline.min(axis=0), outline.max(axis=0), int(1.5 * expected) + 4 * len(nodes) + 1000)
+    placed = insert(T, nodes, np.zeros(len(nodes)), np.full(len(nodes), -1), 0.0, 0.0)
+    there = mark_inside(T, 4, len(nodes)) if (placed >= 0).all() else placed >= 0
+    T.sizes[4 : 4 + len(nodes)] = size_at(nodes)
+    edges = np.roll(nodes, -1, axis=0) - nodes
+    length = np.linalg.norm(edges, axis=1)
+    missed = ~there | (stray > STRAY * length)
+    return T, len(nodes), np.column_stack([nodes + edges / 2, length / 2])[missed]
 
 
 def _fill_by_lattice(T, h):
@@ -140,16 +137,13 @@ def _fill_by_fronts(T, size_at):
     Where the size is uniform the waves draw the hexagonal lattice; they start where the elements are smallest.
     """
     centres, parents = holes(T, HOLE)
-    while len(centres):
-        h = size_at(centres)
-        seed = np.argsort(h, kind="stable")[:1]
-        nodes = insert(T, centres[seed], h[seed], parents[seed], NEAR, DEEP)
-        front = nodes[nodes >= 0]
-        if len(front) == 0:
-            return
-        while len(front):
-            front = _wave(T, front, size_at)
-        return
+    h = size_at(centres)
+    for seed in np.argsort(h, kind="stable"):
+        front = insert(T, centres[[seed]], h[[seed]], parents[[seed]], NEAR, DEEP)
+        if front[0] >= 0:
+            break
+    while len(centres) and len(front):
+        front = _wave(T, front, size_at)
 
 
 def _wave(T, front, size_at) -> np.ndarray:
@@ -179,7 +173,7 @@ def _fill_holes(T, size_at):
 
 
 def _relaxed(T, n_outline, size_at) -> Mesh:
-    """The inside cells, relaxed: truss, optimal Delaunay, worst stars."""
+    """The inside cells, relaxed in cycles of truss and optimal Delaunay steps; then the worst stars."""
     if T.count[0] == len(T.points):
         raise XfemnavError("E207", f"the mesh has more than {len(T.points)} nodes; use a larger element size")
     n_cells = T.count[1]
@@ -188,21 +182,20 @@ def _relaxed(T, n_outline, size_at) -> Mesh:
     number[:-1][kept] = np.arange(kept.sum())
     p = T.points[4 : T.count[0]].copy()
     cells, across = T.cells[:n_cells][kept] - 4, number[T.across[:n_cells][kept]]
-    for _ in range(4):
-        truss(p, cells, across, size_at(p), n_outline, 15)
-    h = size_at(p)
-    optimal_delaunay(p, cells, across, h, n_outline, 6)
-    lift_worst(p, cells, across, h, n_outline, 0.8, 8)
+    quality = 0.0
+    for _ in range(CYCLES):
+        h, before = size_at(p), quality
+        truss(p, cells, across, h, n_outline, 15)
+        optimal_delaunay(p, cells, across, h, n_outline, 2)
+        quality = mean_quality(p, cells)
+        if quality < before + STALL:
+            break
+    lift_worst(p, cells, across, size_at(p), n_outline, 0.8, 8)
     return Mesh(p, cells)
 
 
-def _gate(mesh, min_quality) -> Mesh:
-    """The mesh, if all its triangles have `min_quality` and it is one piece without holes; else E208."""
-    worst = int(np.argmin(mesh.quality))
-    if mesh.quality[worst] < min_quality:
-        x, y = mesh.corners[worst].mean(axis=0)
-        raise XfemnavError(
-            "E208", f"triangle quality {mesh.quality[worst]:.2f} at ({x:.1f}, {y:.1f}) mm is below {min_quality:g}; "
-            f"use elements under {mesh.sizes[worst] / 2:.2g} mm there, or smooth the mask"
-        )
-    return mesh
+def _flat(mesh, min_quality) -> np.ndarray:
+    """Details (k, 3) = x, y, size mm at the cells below `min_quality`: they want elements of half their own size."""
+    flat = mesh.quality < min_quality
+    longest = np.linalg.norm(mesh.corners - np.roll(mesh.corners, 1, axis=1), axis=2).max(axis=1)
+    return np.column_stack([mesh.corners.mean(axis=1), longest / 2])[flat]

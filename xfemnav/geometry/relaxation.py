@@ -23,6 +23,15 @@ def _quality(p, a, b, c):
 
 
 @njit(cache=True)
+def mean_quality(p, cells):
+    """Mean quality of the cells."""
+    total = 0.0
+    for t in range(len(cells)):
+        total += _quality(p, cells[t, 0], cells[t, 1], cells[t, 2])
+    return total / len(cells)
+
+
+@njit(cache=True)
 def flip(p, cells, across):
     """Flip edges until every one is Delaunay: the two angles that face it add to no more than pi (Lawson 1977)."""
     for _ in range(50):
@@ -109,7 +118,7 @@ def truss(p, cells, across, h, n_fixed, n_steps):
                     a, b = cells[t, (i + 1) % 3], cells[t, (i + 2) % 3]
                     dx, dy = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1]
                     length = np.sqrt(dx * dx + dy * dy)
-                    force = 0.2 * (scale * (h[a] + h[b]) / 2 - length) / length
+                    force = 0.3 * (scale * (h[a] + h[b]) / 2 - length) / length
                     if force > 0:
                         move[a, 0] -= force * dx
                         move[a, 1] -= force * dy

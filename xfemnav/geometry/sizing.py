@@ -39,6 +39,30 @@ def is_inside(points, loop):
 
 
 @njit(cache=True)
+def sample_inside(loop, n):
+    """Centres (k, 2) mm of those n x n boxes over the closed `loop` that lie inside it; the area of a box, mm^2."""
+    x0, y0, dx, dy = loop[:, 0].min(), loop[:, 1].min(), np.ptp(loop[:, 0]) / n, np.ptp(loop[:, 1]) / n
+    odd = np.zeros((n, n + 1), np.bool_)  # where along each row the loop crosses it
+    for s in range(len(loop)):
+        ax, ay = loop[s - 1]
+        bx, by = loop[s]
+        first, last = np.ceil((min(ay, by) - y0) / dy - 0.5), np.ceil((max(ay, by) - y0) / dy - 0.5)
+        for row in range(max(0, int(first)), min(n, int(last))):
+            x = ax + (y0 + (row + 0.5) * dy - ay) * (bx - ax) / (by - ay)
+            column = min(n, max(0, int(np.ceil((x - x0) / dx - 0.5))))
+            odd[row, column] = not odd[row, column]
+    points, k = np.empty((n * n, 2)), 0
+    for row in range(n):
+        inside = False
+        for column in range(n):
+            inside = inside != odd[row, column]
+            if inside:
+                points[k] = x0 + (column + 0.5) * dx, y0 + (row + 0.5) * dy
+                k += 1
+    return points[:k], dx * dy
+
+
+@njit(cache=True)
 def cones(points, centres, sizes, slopes):
     """Smallest of sizes + slopes * distance (n,) mm over the `centres` (k, 2)."""
     lowest = np.full(len(points), np.inf)
