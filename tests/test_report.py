@@ -120,7 +120,8 @@ def test_parameters_are_all_listed_but_the_unset(run):
 def test_methods_paragraph_tells_what_another_lab_needs(run):
     text = methods_paragraph(run)
     for part in ("sub-01_T1w.nii.gz", "xfemnav 9.8.7", "numpy ", "5012 nodes", "9876 linear triangles", "3 kPa",
-                 "ratio 0.45", "plane strain", "by 77 nodes", "tip functions by 6", "10226 degrees", "20 mm", "over 4 mm",
+                 "ratio 0.45", "plane strain", "by 77 nodes", "tip functions by 6", "10226 degrees",
+                 "within 20 mm", "over 4 mm",
                  "left lip was displaced by (-3.5, -1) mm over 0 to 80 %", "right lip was loaded with (1, 0.5) mN",
                  "mortar", "3.64 mm", "linear interpolation", "(-54.7, 41.5) to (-22, 18)"):
         assert part in text, part

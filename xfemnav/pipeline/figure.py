@@ -10,13 +10,13 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from xfemnav.pipeline.disk import write_atomic
 
 PANEL_IN, DPI = 4.1, 150     # width of a panel, and dots an inch
+INSET, ZOOM = 0.36, 4.0      # size of panel (e)'s inset as a part of the panel, and its magnification
 MARGIN_MM = 10.0             # shown around the organ, and around the cuts in the close view
 CUT, HEAVISIDE, TIP, OVERLAP = "#ffd21f", "#0b62a8", "#d1410c", "#ff3030"
 SIDES = ("LR", "PA", "IS")   # letters at the negative and positive ends of the three RAS axes
@@ -80,7 +80,7 @@ def _mesh(panel, problem):
     """Fig. 2 (c): the mesh, which knows nothing of the cut."""
     mesh = problem.mesh
     panel.set_title(f"(c) mesh: {len(mesh.points)} nodes, {len(mesh.cells)} triangles")
-    panel.add_collection(LineCollection(mesh.points[mesh.edges], colors="0.5", linewidths=0.3))
+    _draw_mesh(panel, mesh, "0.5", 0.3)
     for cut in problem.cuts:
         _draw_cut(panel, cut, "black", "white")
 
@@ -97,30 +97,53 @@ def _updated(panel, slice, mask, update, grey):
 
 
 def _enrichment(panel, problem, box):
-    """The paper's Fig. 1 on this mesh: circles are set J, squares set K."""
-    mesh, J, K = problem.mesh, problem.enrichment.heaviside_nodes, problem.enrichment.tip_nodes
+    """The paper's Fig. 1 on this mesh: circles are set J, squares set K; an inset shows the first cut's tip."""
     panel.set_title("(e) the cut and its enriched nodes")
-    panel.add_collection(LineCollection(mesh.points[mesh.edges], colors="0.65", linewidths=0.5))
+    _draw_enriched(panel, problem, PANEL_IN / (box[1, 0] - box[0, 0]))
+    for cut in problem.cuts:
+        _name_lips(panel, cut, 24, "black", "white")
+    for cut in problem.cuts[:1]:
+        x, y = _emptiest_corner(box, cut.path)
+        inset = panel.inset_axes([x, y, INSET, INSET], xticks=[], yticks=[], zorder=6)
+        half = np.ptp(box, axis=0) * INSET / ZOOM / 2
+        _draw_enriched(inset, problem, ZOOM * PANEL_IN / (box[1, 0] - box[0, 0]))
+        inset.set(xlim=cut.path[-1, 0] + [-half[0], half[0]], ylim=cut.path[-1, 1] + [-half[1], half[1]])
+        panel.indicate_inset_zoom(inset, edgecolor="black")
+    panel.legend(*panel.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, fontsize=8,
+                 frameon=False, handletextpad=0.2, columnspacing=1.0)
+
+
+def _draw_enriched(panel, problem, inches_per_mm):
+    """Mesh, cut, and the nodes of J and K with marks of half an element, within what can be seen and told apart."""
+    mesh, J, K = problem.mesh, problem.enrichment.heaviside_nodes, problem.enrichment.tip_nodes
+    _draw_mesh(panel, mesh, "0.65", 0.5)
     for cut in problem.cuts:
         _draw_cut(panel, cut, "black", "white")
-        _name_lips(panel, cut, 24, "black", "white")
-    h = np.median(mesh.sizes[np.isin(mesh.cells, np.concatenate([J, K])).any(axis=1)]) if len(J) + len(K) else 1.0
-    size = float(np.clip(0.5 * h * 72 * PANEL_IN / (box[1, 0] - box[0, 0]), 2.0, 9.0))   # half an element, in points
-    style = dict(ls="none", mfc="none", ms=size, mew=0.9, zorder=5)
+    cells = np.isin(mesh.cells, np.concatenate([J, K])).any(axis=1)
+    h = np.median(mesh.sizes[cells]) if cells.any() else 1.0
+    style = dict(ls="none", mfc="none", ms=float(np.clip(0.5 * h * 72 * inches_per_mm, 2.5, 9.0)), mew=0.9, zorder=5)
     panel.plot(*mesh.points[J].T, marker="o", mec=HEAVISIDE, label=f"set J: {len(J)} nodes, H (Eq. 2)", **style)
     panel.plot(*mesh.points[K].T, marker="s", mec=TIP, label=f"set K: {len(K)} nodes, $F_1$..$F_4$ (Eq. 3)", **style)
-    panel.legend(loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, fontsize=8, frameon=False,
-                 markerscale=6 / size, handletextpad=0.2, columnspacing=1.0)
+
+
+def _emptiest_corner(box, path):
+    """Lower left corner, as fractions of `box`, of the inset in that corner of the box that is farthest from `path`."""
+    places = np.array([(x, y) for x in (0.01, 0.99 - INSET) for y in (0.07, 0.99 - INSET)])
+    centres = box[0] + (places + INSET / 2) * (box[1] - box[0])
+    along = path[:-1, None] + np.linspace(0, 1, 20)[:, None] * np.diff(path, axis=0)[:, None]
+    distance = np.linalg.norm(centres[:, None] - along.reshape(-1, 2), axis=2).min(axis=1)
+    return places[np.argmax(distance)]
 
 
 def _displacement(panel, solution):
     """How far the tissue has moved, drawn where it is now; exact, for the map is affine on each triangle."""
     moved = np.linalg.norm(solution.moved - solution.rest, axis=2).ravel()
-    panel.set_title(f"(f) displacement in mm, at most {moved.max():.1f}")
+    panel.set_title(f"(f) displacement, at most {moved.max():.1f} mm")
     corners = solution.moved.reshape(-1, 2)
     triangles = np.arange(len(corners)).reshape(-1, 3)
     colours = panel.tripcolor(*corners.T, moved, triangles=triangles, shading="gouraud", vmin=0)
     scale = panel.inset_axes([0.15, -0.04, 0.7, 0.025])
+    panel.set_xlabel("mm", labelpad=24)
     panel.figure.colorbar(colours, cax=scale, orientation="horizontal")
 
 
@@ -133,6 +156,11 @@ def _draw_grey(panel, slice, values, window):
     panel.set_facecolor("black")
     panel.imshow(values.T, cmap="gray", vmin=window[0], vmax=window[1], interpolation="nearest",
                  origin="lower", extent=(low[0], high[0], low[1], high[1]))
+
+
+def _draw_mesh(panel, mesh, grey, width):
+    """All edges as one line with gaps: far faster to draw than one line each."""
+    panel.plot(*np.insert(mesh.points[mesh.edges], 2, np.nan, axis=1).reshape(-1, 2).T, color=grey, lw=width)
 
 
 def _draw_cut(panel, cut, colour, halo):
