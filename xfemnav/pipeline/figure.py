@@ -35,7 +35,7 @@ def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
         whole = _box_of_organ(slice, mask)
         close = _box_of_cuts(problem.cuts, whole)
         width, height = whole[1] - whole[0]
-        size = (3 * PANEL_IN, 2 * PANEL_IN * np.clip(height / width, 0.6, 1.5) + 1.3)
+        size = (3 * PANEL_IN, 2 * PANEL_IN * np.clip(height / width, 0.6, 1.5) + 1.4)
         figure = Figure(size, DPI, layout="constrained")
         a, b, c, d, e, f = figure.subplots(2, 3).ravel()
         grey = _window(slice, mask)
@@ -47,7 +47,7 @@ def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
         _displacement(f, solution)
         for panel, ink in zip((a, b, c, d, e, f), ("white", "white", "black", "white", "black", "black")):
             box = close if panel is e else whole
-            panel.set(xlim=box[:, 0], ylim=box[:, 1], xticks=[], yticks=[], aspect="equal")
+            panel.set(xlim=box[:, 0], ylim=box[:, 1], xticks=[], yticks=[], aspect="equal", anchor="N")
             _letters(panel, slice, ink)
             _scale_bar(panel, box, ink)
         figure.supxlabel(_caption(slice), fontsize=9)
@@ -143,7 +143,7 @@ def _displacement(panel, solution):
     triangles = np.arange(len(corners)).reshape(-1, 3)
     colours = panel.tripcolor(*corners.T, moved, triangles=triangles, shading="gouraud", vmin=0)
     scale = panel.inset_axes([0.15, -0.04, 0.7, 0.025])
-    panel.set_xlabel("mm", labelpad=24)
+    panel.set_xlabel("mm", labelpad=18, loc="right")
     panel.figure.colorbar(colours, cax=scale, orientation="horizontal")
 
 
