@@ -87,16 +87,16 @@ def test_away_from_the_cut_the_side_changes_nothing():
         assert_allclose(motion.to_current(points, side), motion.to_current(points))
 
 
-def test_at_a_kink_the_left_is_a_sector():
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_at_a_kink_the_left_is_a_sector(seed, mirror):
     """Every triangle moves by the side that it is on; at the kink's vertex both sides keep their value."""
-    rest = triangles()
-    middle = rest.mean(axis=1)
-    ahead, back = PATH[2] - PATH[1], PATH[0] - PATH[1]
-    angle = np.arctan2(*(middle - PATH[1]).T[::-1])
-    left = (angle - np.arctan2(ahead[1], ahead[0])) % (2 * np.pi) < (np.arctan2(back[1], back[0])
-                                                                     - np.arctan2(ahead[1], ahead[0])) % (2 * np.pi)
-    motion = PiecewiseAffineMap(rest, rest + np.where(left, 1.0, -1.0)[:, None, None] * N, (PATH,))
-    near = PATH[1] + np.array([[0, 0], [0, 1e-3], [1e-3, -1.5e-3], [0, 1e-9]])
+    path = PATH * (mirror, 1)
+    rest = triangles(seed, path)
+    back, ahead, middle = (np.arctan2(*(p - path[1]).T[::-1]) for p in (path[0], path[2], rest.mean(axis=1)))
+    left = (middle - ahead) % (2 * np.pi) < (back - ahead) % (2 * np.pi)
+    motion = PiecewiseAffineMap(rest, rest + np.where(left, 1.0, -1.0)[:, None, None] * N, (path,))
+    near = path[1] + np.array([[0, 0], [0, 1e-3], [1e-3 * mirror, -1.5e-3], [0, 1e-9]])
     assert_allclose(motion.displacement(near, +1), [N] * 4, atol=1e-9)
     assert_allclose(motion.displacement(near, -1), [-N] * 4, atol=1e-9)
 
@@ -128,10 +128,12 @@ def test_folded_tissue_gives_way_to_tissue_that_is_not():
 
 
 def test_needles_do_not_spoil_the_value_on_their_edges():
-    """A triangle 1e-13 mm high shares the point's edge: barycentric coordinates are noise in it, not in its neighbours."""
-    thin = 1e-13
-    rest = np.array([[[0, 0], [4, 0], [2, thin]], [[0, 0], [2, thin], [0, 3]], [[2, thin], [4, 0], [4, 3]],
+    """Barycentric coordinates are noise in a triangle 1e-12 mm high, but not in its neighbours, which share the point."""
+    thin = 1e-12
+    flat = np.array([[[0, 0], [4, 0], [2, thin]], [[0, 0], [2, thin], [0, 3]], [[2, thin], [4, 0], [4, 3]],
                      [[0, -3], [4, 0], [0, 0]]], float)
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    rest = flat @ turn.T + [7.1, 3.3]
     motion = PiecewiseAffineMap(rest, rest * 1.5)
-    points = np.array([[0.7, 0.0], [1.3, thin / 2], [2.0, thin], [3.9, 0.0]])
+    points = np.array([[0.7, 0.0], [1.3, thin / 2], [2.0, thin], [3.9, 0.0]]) @ turn.T + [7.1, 3.3]
     assert_allclose(motion.to_current(points), points * 1.5, atol=1e-12)
