@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
+from shapely.ops import substring
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
@@ -86,6 +87,7 @@ def place_cut(path, boundary, name: str = "cut", *, internal: bool = False, cran
             f"cut '{name}' leaves the organ and enters it again at {tuple(again)} mm; "
             "split it into several cuts, or end it inside.",
         )
+    _refuse_touching(inside[0], organ, name)
     clipped = np.asarray(inside[0].coords)
     if line.project(shapely.Point(clipped[0])) > line.project(shapely.Point(clipped[-1])):
         clipped = clipped[::-1]
@@ -141,6 +143,17 @@ def _refuse_crossing(path, name):
 def _is_interior(part, organ):
     """True when a part of the path runs inside the organ and not along its outline."""
     return part.length > 1e-9 and organ.exterior.distance(part.interpolate(0.5, normalized=True)) > 1e-9
+
+
+def _refuse_touching(part, organ, name):
+    """Between its ends a cut stays clear of the outline: neither along it nor against it from inside."""
+    margin = min(1e-6, part.length / 4)
+    between = substring(part, margin, part.length - margin)
+    if organ.exterior.distance(between) <= 1e-9:
+        where = shapely.shortest_line(organ.exterior, between).coords[0]
+        raise XfemnavError(
+            "E305", f"cut '{name}' touches the outline again at {_mm(where)}; keep it inside, or end it there."
+        )
 
 
 def _never_enters(path, organ, name):
