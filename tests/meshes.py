@@ -1,0 +1,77 @@
+"""Meshes and problems that several test files share: jittered rectangles, regular grids, meshed outlines."""
+
+import functools
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from data_synthetic import domains
+from xfemnav.geometry.cut import Cut, place_cut
+from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.mesh import Mesh, orient
+from xfemnav.geometry.subcells import embed
+from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.enrichment import enrich
+from xfemnav.mechanics.outline import Skull
+from xfemnav.mechanics.space import Space
+
+BRAIN = Material()
+HARD_SKULL = Skull("fixed", craniotomy_mm=15.0, ramp_mm=0.0)
+FREE = Skull("free")
+
+
+@functools.cache
+def jittered(width=20.0, height=16.0, h=1.0, jitter=0.25, seed=0) -> Mesh:
+    """Rectangle with its lower left corner at the origin: a grid of spacing `h`, inner nodes shaken, Delaunay."""
+    rng = np.random.default_rng(seed)
+    nx, ny = round(width / h), round(height / h)
+    x, y = np.meshgrid(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1), indexing="ij")
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    inner = (points > 0).all(axis=1) & (points < (width, height)).all(axis=1)
+    points[inner] += jitter * h * rng.uniform(-1, 1, (inner.sum(), 2))
+    cells = Delaunay(points).simplices
+    area = orient(*points[cells].swapaxes(0, 1))
+    cells[area < 0] = cells[area < 0][:, ::-1]
+    return Mesh(points, cells[np.abs(area) > 1e-9 * h * h])
+
+
+@functools.cache
+def grid(n=8, size=8.0) -> Mesh:
+    """Square [0, size]^2 of n x n boxes, each cut by the diagonal from its lower left to its upper right corner."""
+    x, y = np.meshgrid(np.linspace(0, size, n + 1), np.linspace(0, size, n + 1), indexing="ij")
+    node = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
+    a, b, c, d = (k.ravel() for k in (node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]))
+    return Mesh(np.stack([x.ravel(), y.ravel()], axis=1), np.vstack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
+
+
+@functools.cache
+def disc(radius=70.0, h=7.0) -> Mesh:
+    """A disc by the house's own mesh generator."""
+    return distmesh(domains.disc(radius), h)
+
+
+def outline(mesh) -> np.ndarray:
+    """The mesh's boundary loop (n, 2) mm."""
+    return mesh.points[mesh.boundary_loops[0]]
+
+
+def cut_in(mesh, *path, **kind) -> Cut:
+    """The cut along a path, clipped to the mesh."""
+    return place_cut(path, outline(mesh), **kind)
+
+
+def space_of(mesh, *cuts, tip_enrichment="topological") -> Space:
+    """The finite element space of a mesh with cuts."""
+    subcells = embed(mesh, cuts)
+    return Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment))
+
+
+def turn(angle) -> np.ndarray:
+    """Rotation matrix (2, 2), counter-clockwise, rad."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def mapped(mesh, Q, shift=(0.0, 0.0)) -> Mesh:
+    """The mesh under x -> Q x + shift; a mirrored mesh has its cells turned over again."""
+    cells = mesh.cells if np.linalg.det(Q) > 0 else mesh.cells[:, ::-1]
+    return Mesh(mesh.points @ np.asarray(Q).T + shift, cells)
