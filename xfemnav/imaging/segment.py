@@ -5,20 +5,30 @@ filled; else three methods vote. Whatever comes out is the user's to judge: a do
 """
 
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
+from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.masks import clean
-from xfemnav.imaging.slices import Slice
+from xfemnav.imaging.masks import clean, dice, one_piece
+from xfemnav.imaging.reading import Image
+from xfemnav.imaging.slices import Slice, values_on
 from xfemnav.imaging.stripped import foreground, is_stripped
-from xfemnav.imaging.vote import largest_otsu
-from xfemnav.imaging.working import working_copy
+from xfemnav.imaging.svc import classify, register
+from xfemnav.imaging.vote import head_of, largest_otsu, vote
+from xfemnav.imaging.working import Working, robust_range, working_copy
+
+METHODS = ("auto", "otsu", "vote", "svc")
+AGREEMENT = 0.9  # Dice that at least one pair of voters reaches when the vote is right
+SHARE_OF_HEAD = 0.38, 0.90  # brain / head area in axial, coronal and sagittal slices of adults
+LEAST_MM2 = 1500.0
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """`mask` (n1, n2) bool on the slice's pixels, the `method` that made it, and `info`: its figures."""
+    """`mask` (n1, n2) bool on the slice's pixels, the way it was found (`method`: mask, stripped, vote, otsu or svc),
+    and `info`: area_mm2 and, by method, share_of_head, agreement of the voters, moved (Dice of svc and its prior)."""
 
     mask: np.ndarray
     method: str
@@ -28,11 +38,61 @@ class Segmentation:
         object.__setattr__(self, "mask", frozen_array(self.mask, bool, (None, None), "mask"))
 
 
-def segment(slice: Slice, *, method: str = "auto", mask=None, skull: str = "auto") -> Segmentation:
-    """Mask of the organ in `slice`."""
-    if mask is not None:
-        return Segmentation(clean(mask, slice.spacing), "mask")
+def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = None, skull: str = "auto",
+            template: Image | None = None, template_mask: Image | None = None) -> Segmentation:
+    """Mask of the organ in `slice`.
+
+    `mask` (n1, n2): wins, except with method svc, whose prior it is. `skull`: "on" and "stripped" overrule the test.
+    `template` and `template_mask`: images on one grid in the slice's world frame, for svc without `mask`.
+    Raises E201 (nothing found), E202 (constant slice), E203 (no background), E206 (template); warns W205, W206.
+    """
+    if method not in METHODS:
+        raise XfemnavError("E780", f"no segmentation method {method!r}; choose one of {', '.join(METHODS)}.")
+    if method != "svc" and mask is not None:
+        return _result(slice, clean(mask, slice.spacing), "mask", {})
     work = working_copy(slice)
+    if method == "svc":
+        prior = _prior(slice, work, mask, template, template_mask)
+        found = classify(work, prior)
+        return _result(slice, one_piece(work.back(found)), "svc", {"moved": dice(found, prior)})
     if method == "auto" and skull != "on" and (skull == "stripped" or is_stripped(slice)):
-        return Segmentation(clean(foreground(slice), slice.spacing), "stripped")
-    return Segmentation(clean(work.back(largest_otsu(work)), slice.spacing), "otsu")
+        return _result(slice, one_piece(foreground(slice)), "stripped", {})
+    head = head_of(work)
+    if method == "otsu":
+        found, info = largest_otsu(work), {}
+    else:
+        found, members = vote(work, head)
+        info = {"agreement": {f"{a}-{b}": dice(members[a], members[b]) for a, b in combinations(members, 2)}}
+    info["share_of_head"] = float(found.sum() / max(head.sum(), 1))
+    return _result(slice, one_piece(work.back(found)), "otsu" if method == "otsu" else "vote", info)
+
+
+def _prior(slice: Slice, work: Working, mask, template: Image | None, template_mask: Image | None) -> np.ndarray:
+    """Where the organ should be, on the working copy: the user's mask, or the template's laid on the slice."""
+    if mask is not None:
+        return work.forth(clean(mask, slice.spacing).astype(float)) > 0.5
+    if template is None or template_mask is None:
+        raise XfemnavError("E206", "svc needs a prior: --mask FILE, or --template IMG with --template-mask FILE.")
+    same_shape = template.values.shape == template_mask.values.shape
+    if not same_shape or not np.allclose(template.affine, template_mask.affine, atol=1e-3):
+        raise XfemnavError("E206", f"{template.name} and {template_mask.name} have different grids; give one grid.")
+    values = values_on(template, slice, resample="linear")
+    low, high = robust_range(values) if values.max() > values.min() else (0.0, 1.0)
+    organ = (values_on(template_mask, slice, resample="nearest") != 0).astype(float)
+    return register(work.values, work.forth((values - low) / (high - low)), work.forth(organ), work.pixel)
+
+
+def _result(slice: Slice, mask: np.ndarray, method: str, info: dict) -> Segmentation:
+    """The segmentation with its area; W206 with every reason to doubt it."""
+    area = float(mask.sum() * slice.spacing.prod())
+    doubts = [] if area >= LEAST_MM2 or method == "mask" else [f"its area is only {area:.0f} mm2"]
+    share, best = info.get("share_of_head", 0.6), max(info.get("agreement", {"": 1.0}).values())
+    if not SHARE_OF_HEAD[0] <= share <= SHARE_OF_HEAD[1]:
+        doubts.append(f"it is {share:.0%} of the head (usual: {SHARE_OF_HEAD[0]:.0%} to {SHARE_OF_HEAD[1]:.0%})")
+    if best < AGREEMENT:
+        doubts.append(f"no two of its methods agree (best Dice {best:.2f})")
+    if info.get("moved", 1.0) < AGREEMENT:
+        doubts.append(f"it left its prior (Dice {info['moved']:.2f})")
+    if doubts:
+        warn("W206", f"the segmentation ({method}) is doubtful: {'; '.join(doubts)}. Look at it; give --mask FILE.")
+    return Segmentation(mask, method, {"area_mm2": area, **info})

@@ -25,6 +25,10 @@ class Working:
     shape: tuple[int, int]
     ratio: np.ndarray
 
+    def forth(self, values: np.ndarray) -> np.ndarray:
+        """`values` (n1, n2) on the slice's pixels, on the copy's (m1, m2)."""
+        return resize(values, self.ratio, self.values.shape)
+
     def back(self, mask: np.ndarray) -> np.ndarray:
         """A mask of the copy on the slice's own pixels, bool (n1, n2)."""
         return resize(mask.astype(float), 1 / self.ratio, self.shape) > 0.5
