@@ -128,7 +128,7 @@ def test_folded_tissue_gives_way_to_tissue_that_is_not():
 
 
 def test_needles_do_not_spoil_the_value_on_their_edges():
-    """Barycentric coordinates are noise in a triangle 1e-12 mm high, but not in its neighbours, which share the point."""
+    """Barycentric coordinates are noise in a triangle 1e-12 mm high, but not in neighbours that share the point."""
     thin = 1e-12
     flat = np.array([[[0, 0], [4, 0], [2, thin]], [[0, 0], [2, thin], [0, 3]], [[2, thin], [4, 0], [4, 3]],
                      [[0, -3], [4, 0], [0, 0]]], float)
