@@ -78,9 +78,10 @@ class SizeField:
     """Wanted edge length, mm: `element_mm` far away, `corridor_element_mm` where the surgeon works.
 
     corridor: paths (k, 2) mm; the size is uniform within `corridor_mm` of each. A path whose last point repeats its
-    first is a closed region, uniform inside. focus: (point, size) or (point, size, growth): `size` mm there, growing
-    with distance. growth: rise of the size, mm per mm, outside the corridor and around the focus points; .25 keeps
-    neighbours alike. Raises XfemnavError E207 when a size or the growth is not positive.
+    first is a closed region, uniform inside.
+    focus: (point, size) or (point, size, growth): `size` mm there, growing with distance.
+    growth: rise of the size, mm per mm, outside the corridor and about the focus points; good meshes need at most .3.
+    Raises XfemnavError E207 when a size or the growth is not positive.
     """
 
     element_mm: float
@@ -88,7 +89,7 @@ class SizeField:
     corridor_mm: float = 0.0
     corridor: tuple = ()
     focus: tuple = ()
-    growth: float = 0.25
+    growth: float = 0.2
 
     def __post_init__(self):
         corridor = tuple(frozen_array(path, float, (None, 2), "corridor") for path in self.corridor)
