@@ -3,10 +3,12 @@
 import copy
 import json
 from html.parser import HTMLParser
+from typing import get_args
 
 import pytest
 
 from xfemnav.errors import FAULTS
+from xfemnav.pipeline import methods
 from xfemnav.pipeline.methods import methods_paragraph
 from xfemnav.pipeline.report import MMHG_PER_KPA, flat, render, retractor_row, write_report
 from xfemnav.pipeline.scenario import Scenario
@@ -30,6 +32,10 @@ def run():
         "parameters": asked.model_dump(),
         "stages": [{"name": "segment", "status": "ran", "key": "ab" * 32, "seconds": 1.2345}],
         "outputs": {"updated": "sub-01_desc-updated_T1w.nii.gz"},
+        "input": {"sha256": "cd" * 32, "shape": [197, 233, 1], "affine": [[1.0, 0.0, 0.0, -98.0]], "dtype": "int16"},
+        "slice": {"plane": "axial", "offset": 18.0, "shape": [197, 233]},
+        "segmentation": {"method": "vote", "area_mm2": 15000.0},
+        "cuts": [{"name": "approach", "path": [[-54.7, 41.5], [-22.0, 18.0]], "length_mm": 40.27}],
         "mesh": {"n_nodes": 5012, "n_cells": 9876, "min_quality": 0.81, "mean_quality": 0.993, "hausdorff_mm": 0.2},
         "enrichment": {"heaviside_nodes": 77, "tip_nodes": 6, "n_dof": 10226},
         "retractor": [{"cut": "approach", "side": "left", "force_mN_per_mm": [3.0, -4.0], "mean_pressure_kPa": 2.0}],
@@ -68,7 +74,9 @@ def test_names_cannot_become_markup(run):
     for key in ("argv", "outputs", "stages"):
         evil[key] = with_every_string(run[key], EVIL)
     evil["parameters"]["image"] = evil["parameters"]["mask"] = EVIL
-    evil["parameters"]["cut"][0]["name"] = evil["retractor"][0]["cut"] = evil["warnings"][0]["text"] = EVIL
+    evil["parameters"]["cut"][0]["name"] = evil["retractor"][0]["cut"] = evil["cuts"][0]["name"] = EVIL
+    evil["warnings"][0]["text"] = EVIL
+    evil["error"] = {"code": "E401", "text": EVIL}
     page = Tags(render(evil, PNG))
     assert [attrs["src"][:22] for tag, attrs in page.tags if tag == "img"] == ["data:image/png;base64,"]
     assert not [attrs for _, attrs in page.tags if any(name.startswith("on") for name in attrs)]
@@ -91,11 +99,11 @@ def test_same_run_same_page_cached_or_not(run):
     assert render(run, PNG) == render(again, PNG)
 
 
-def test_untrusted_is_unmistakable(run):
+def test_untrusted_is_unmistakable_and_says_why(run):
     assert 'class="status complete"' in render(run, PNG)
-    run["status"] = "untrusted"
+    run |= {"status": "untrusted", "error": {"code": "E401", "text": "the retraction folds the tissue: 3.1 mm2"}}
     page = render(run, PNG)
-    assert 'class="status untrusted"' in page and "NOT TO BE TRUSTED" in page
+    assert 'class="status untrusted"' in page and "NOT TO BE TRUSTED" in page and "3.1 mm2" in page
 
 
 def test_a_warning_comes_with_its_remedy(run):
@@ -120,17 +128,17 @@ def test_parameters_are_all_listed_but_the_unset(run):
 def test_methods_paragraph_tells_what_another_lab_needs(run):
     text = methods_paragraph(run)
     for part in ("sub-01_T1w.nii.gz", "xfemnav 9.8.7", "numpy ", "5012 nodes", "9876 linear triangles", "3 kPa",
-                 "ratio 0.45", "plane strain", "by 77 nodes", "tip functions by 6", "10226 degrees",
+                 "ratio 0.45", "plane strain", "by 77 nodes", "by the 6 whose support", "10226 degrees",
                  "within 20 mm", "over 4 mm",
                  "left lip was displaced by (-3.5, -1) mm over 0 to 80 %", "right lip was loaded with (1, 0.5) mN",
-                 "mortar", "3.64 mm", "linear interpolation", "(-54.7, 41.5) to (-22, 18)"):
+                 "mortar", "3.64 mm", "linear interpolation", "40.3 mm long", "(-54.7, 41.5) to (-22.0, 18.0)",
+                 "majority of three methods", "axial slice at 18.0 mm"):
         assert part in text, part
     assert "/data" not in text and "  " not in text and ".." not in text
 
 
 @pytest.mark.parametrize("change, wanted", [
-    ({"mask": "brain.nii.gz"}, "mask was given (brain.nii.gz)"),
-    ({"mesh": {"file": "mine.vtu"}}, "mesh was given (mine.vtu)"),
+    ({"mesh": {"file": "mine.vtu"}}, "The mesh was given; it had 5012 nodes"),
     ({"mesh": {"corridor_mm": 0.0}}, "edges of 3 mm (quality"),
     ({"boundary": {"skull": "free"}}, "The outline was free."),
     ({"boundary": {"skull_ramp_mm": 0.0}}, "mm of the cut's mouth."),
@@ -138,12 +146,22 @@ def test_methods_paragraph_tells_what_another_lab_needs(run):
     ({"solve": {"lip_constraint": "pointwise"}}, "as in [1]"),
     ({"solve": {"stress_state": "stress"}}, "plane stress"),
     ({"solve": {"tip_enrichment": "none"}}, "no crack-tip functions"),
-    ({"retract": []}, "it does not contain the cut."),
+    ({"retract": []}, "cut's mouth; the skull's grip set in over 4 mm. The tissue moved"),
 ])
 def test_methods_paragraph_follows_the_parameters(run, change, wanted):
     for section, value in change.items():
         run["parameters"][section] = run["parameters"][section] | value if isinstance(value, dict) else value
     assert wanted in methods_paragraph(run)
+
+
+def test_every_choice_of_a_scenario_has_words():
+    def choices(section, name):
+        return set(get_args(Scenario.model_fields[section].annotation.model_fields[name].annotation))
+
+    assert set(methods.TIPS) == choices("solve", "tip_enrichment")
+    assert set(methods.LIPS) == choices("solve", "lip_constraint")
+    assert set(methods.SKULLS) | {"free"} == choices("boundary", "skull")
+    assert set(methods.ORGANS) == choices("segment", "method") - {"auto"} | {"mask", "stripped"}
 
 
 def test_paper_is_cited(run):

@@ -15,29 +15,33 @@ CITATIONS = (
     "for Numerical Methods in Engineering 46: 131–150, 1999.",
     "Persson P-O, Strang G. A simple mesh generator in MATLAB. SIAM Review 46(2): 329–345, 2004.",
 )
+ORGANS = {
+    "mask": "The mask of the organ was given.",
+    "stripped": "The image was skull-stripped; the organ is its foreground with the holes filled.",
+    "otsu": "The organ is the largest component above Otsu's threshold, with the holes filled.",
+    "vote": "The organ was segmented by the majority of three methods (Otsu's threshold, a marker watershed, and a "
+            "search over thresholds and openings).",
+    "svc": "The organ was segmented by template-moderated, spatially varying classification (Warfield et al. 2000).",
+}
 TIPS = {
-    "topological": "the four crack-tip functions were carried by the nodes whose support holds the tip",
-    "geometric": "the four crack-tip functions were carried by all nodes within a fixed radius of the tip",
+    "topological": "the four crack-tip functions by the {} whose support holds the tip",
+    "geometric": "the four crack-tip functions by the {} within a fixed distance of the tip",
     "none": "no crack-tip functions were used",
 }
 LIPS = {
     "mortar": "by Lagrange multipliers along the held part of each lip (mortar)",
-    "nitsche": "by Nitsche's method along the held part of each lip",
     "pointwise": "at every crossing of the cut with a mesh edge, as in [1]",
 }
-SKULLS = {
-    "fixed": "The outline was fixed",
-    "sliding": "The outline slid along the skull without friction",
-    "free": "The outline was free",
-}
+SKULLS = {"fixed": "The outline was fixed", "sliding": "The outline slid along the skull without friction"}
 
 
 def methods_paragraph(run: dict) -> str:
     """Plain text. `run` is the content of run.json for a run that has outputs; numbers in brackets are `CITATIONS`."""
     asked = run["parameters"]
-    sentences = [_software(run), _organ(asked), _mesh(run), *map(_cut, asked["cut"]), _enrichment(run), _tissue(asked),
-                 _outline(asked), *(_retraction(each, asked) for each in asked["retract"]), _lips(asked), _outcome(run),
-                 _image(asked)]
+    sentences = [
+        _software(run), _mesh(run), *map(_cut, run["cuts"]), _enrichment(run), _tissue(asked), _outline(asked),
+        *(_retraction(each, asked) for each in asked["retract"]), _lips(asked), _outcome(run), _image(asked),
+    ]
     return " ".join(filter(None, sentences))
 
 
@@ -47,39 +51,36 @@ def library_versions() -> str:
 
 
 def _software(run):
-    image = PurePath(run["parameters"]["image"]).name
-    return (f"The preoperative image {image} was updated for the surgical cut in two dimensions with xfemnav "
-            f"{run['version']} ({library_versions()}), an implementation of the method of Vigneron et al. [1].")
-
-
-def _organ(asked):
-    if asked["mesh"]["file"]:
-        return f"The mesh was given ({PurePath(asked['mesh']['file']).name})."
-    if asked["mask"]:
-        return f"The organ's mask was given ({PurePath(asked['mask']).name})."
-    return f"The organ was segmented automatically (method '{asked['segment']['method']}')."
+    image, plane = PurePath(run["parameters"]["image"]).name, run["slice"]
+    return (f"The preoperative image {image} ({plane['plane']} slice at {plane['offset']:.1f} mm) was updated for the "
+            f"surgical cut in two dimensions with xfemnav {run['version']} ({library_versions()}), an implementation "
+            "of the method of Vigneron et al. [1].")
 
 
 def _mesh(run):
     asked, mesh = run["parameters"]["mesh"], run["mesh"]
-    size = "" if asked["file"] else f" with edges of {asked['element_size_mm']:g} mm"
-    if not asked["file"] and asked["corridor_mm"] > 0:
-        size += f", and of {asked['corridor_element_mm']:g} mm within {asked['corridor_mm']:g} mm of the cut"
-    made = "It" if asked["file"] else "A mesh made as in [3]"
-    return (f"{made} had {mesh['n_nodes']} nodes and {mesh['n_cells']} linear triangles{size} (quality 2 r_in/r_out: "
-            f"smallest {mesh['min_quality']:.2f}, mean {mesh['mean_quality']:.2f}); it does not contain the cut.")
+    size = f"{mesh['n_nodes']} nodes and {mesh['n_cells']} linear triangles"
+    quality = f"(quality 2 r_in/r_out: smallest {mesh['min_quality']:.2f}, mean {mesh['mean_quality']:.2f})"
+    if asked["file"]:
+        return f"The mesh was given; it had {size} {quality}."
+    edges = f"edges of {asked['element_size_mm']:g} mm"
+    if asked["corridor_mm"] > 0:
+        edges += f", and of {asked['corridor_element_mm']:g} mm within {asked['corridor_mm']:g} mm of the cut"
+    return (f"{ORGANS[run['segmentation']['method']]} A mesh made after [3] had {size} with {edges} {quality}; it does "
+            "not contain the cut.")
 
 
 def _cut(cut):
-    points = " to ".join(f"({', '.join(f'{x:g}' for x in point)})" for point in cut["points"])
-    return f"The cut '{cut['name']}' ran from its mouth to its tip through {points}."
+    points = " to ".join("({:.1f}, {:.1f})".format(*point) for point in cut["path"])
+    return f"The cut '{cut['name']}' was {cut['length_mm']:.1f} mm long, in plane coordinates from {points} mm."
 
 
 def _enrichment(run):
-    nodes, tips = run["enrichment"], TIPS[run["parameters"]["solve"]["tip_enrichment"]]
+    nodes = run["enrichment"]
+    tips = TIPS[run["parameters"]["solve"]["tip_enrichment"]].format(nodes["tip_nodes"])
     return ("It was embedded in the mesh by the extended finite element method [1, 2]: the discontinuous function was "
-            f"carried by {nodes['heaviside_nodes']} nodes and the tip functions by {nodes['tip_nodes']}, with "
-            f"{nodes['n_dof']} degrees of freedom in all; {tips}.")
+            f"carried by {nodes['heaviside_nodes']} nodes, {tips}; in all there were {nodes['n_dof']} degrees "
+            "of freedom.")
 
 
 def _tissue(asked):
@@ -92,7 +93,7 @@ def _outline(asked):
     if boundary["displacement"]:
         return f"The outline moved as measured ({PurePath(boundary['displacement']).name})."
     if boundary["skull"] == "free":
-        return SKULLS["free"] + "."
+        return "The outline was free."
     ramp = f"; the skull's grip set in over {boundary['skull_ramp_mm']:g} mm" if boundary["skull_ramp_mm"] else ""
     return f"{SKULLS[boundary['skull']]} except within {boundary['craniotomy_mm']:g} mm of the cut's mouth{ramp}."
 

@@ -18,7 +18,7 @@ from xfemnav.pipeline.methods import CITATIONS, methods_paragraph
 MMHG_PER_KPA = 7.50062
 VERDICTS = {
     "complete": "Complete",
-    "untrusted": "NOT TO BE TRUSTED. The tissue is folded: use these results to find out why, and for nothing else.",
+    "untrusted": "NOT TO BE TRUSTED. Use these results to find out why, and for nothing else.",
 }
 CHECKS = {  # name in run.json: (what it is, unit)
     "residual": ("relative residual of the linear system", ""),
@@ -49,6 +49,7 @@ def render(run: dict, figure: bytes | None) -> str:
         title=Path(run["parameters"]["image"]).name,
         status=run["status"],
         verdict=VERDICTS[run["status"]],
+        error=run.get("error"),
         figure=base64.b64encode(figure).decode() if figure else None,
         command=shlex.join(run["argv"]),
         stages=run["stages"],
@@ -56,6 +57,7 @@ def render(run: dict, figure: bytes | None) -> str:
         warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
         retractors=[retractor_row(each) for each in run["retractor"]],
         parameters=list(flat(run["parameters"])),
+        input=list(flat(run["input"])),
         outputs=run["outputs"],
         methods=methods_paragraph(run),
         citations=CITATIONS,
