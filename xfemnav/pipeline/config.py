@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.flags import FLAG_OF, add_flags, confined, numbers
+from xfemnav.pipeline.flags import FLAG_OF, FLAGS, PATHS, add_flags, confined, numbers
 
 if TYPE_CHECKING:
     from xfemnav.pipeline.scenario import Scenario
@@ -108,8 +108,9 @@ class WarpParams:
 
 @dataclass(frozen=True)
 class Config:
-    """A checked run: its input files, and the parameters of reading and of each stage."""
+    """A checked run: its input files, the parameters of reading and of each stage, and the scenario that says all."""
 
+    parameters: dict
     image: Path
     mask: Path | None
     template: Path | None
@@ -137,31 +138,49 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     """
     from xfemnav.pipeline.scenario import read_toml, validated
 
-    raw = {"xfemnav": 1}
+    raw, files = {"xfemnav": 1}, {}
     if scenario is not None:
-        raw = confined(read_toml(Path(scenario)), Path(scenario).parent)
-    found = add_flags(raw, flags or {})
+        raw = read_toml(Path(scenario))
+        files = confined(raw, Path(scenario).parent)
+    flags = dict(flags or {})
+    found = add_flags(raw, flags)
     if image is not None:
-        raw["image"] = str(Path(image).absolute())
-    if "image" not in raw:
+        flags["image"] = raw["image"] = str(image)
+    files |= {place: Path(flags[name]) for name, place in (("image", "image"), *FLAGS.items())
+              if place in PATHS and flags.get(name) is not None}
+    if "image" not in files:
         found.append("image: no image was given")
     if STAGES.index(until) >= STAGES.index("constrain") and not raw.get("cut"):
         found.append("cut: no cut was given (--cut 'x,y x,y ...')")
-    return _resolved(validated(raw, FLAG_OF, tuple(found)))
+    return _resolved(validated(raw, FLAG_OF, tuple(found)), files)
 
 
-def _resolved(s: "Scenario") -> Config:
-    def path(value):
-        return None if value is None else Path(value)
+def scenario_problems(path: Path) -> list[str]:
+    """Everything that is wrong with a scenario file, one line each: its form, its paths, the files that it names."""
+    from xfemnav.pipeline.scenario import problems, read_toml
 
+    try:
+        raw = read_toml(path)
+        found = problems(raw)
+        files = confined(raw, path.parent)
+    except XfemnavError as error:
+        return [str(error)]
+    found += [f"E100 {place}: no file at {file}" for place, file in files.items() if not file.is_file()]
+    return found
+
+
+def _resolved(s: "Scenario", files: dict[str, Path]) -> Config:
+    retracts = tuple(r if r.cut is not None else r.model_copy(update={"cut": s.cut[0].name}) for r in s.retract)
+    s = s.model_copy(update={"retract": retracts})
     return Config(
-        image=Path(s.image), mask=path(s.mask), template=path(s.segment.template),
-        template_mask=path(s.segment.template_mask), mesh_file=path(s.mesh.file),
+        parameters=s.model_dump(mode="json", exclude={"xfemnav"}),
+        image=files["image"], mask=files.get("mask"), template=files.get("segment.template"),
+        template_mask=files.get("segment.template_mask"), mesh_file=files.get("mesh.file"),
         max_memory_gb=s.max_memory_gb, strict=s.strict,
         read=ReadParams(s.volume, s.nan, s.spacing),
         segment=SegmentParams(s.slice.plane, s.slice.index, s.slice.position_mm, s.segment.method, s.segment.skull,
                               s.resample_mask),
-        mesh=_mesh_params(s), constrain=_constrain_params(s), solve=SolveParams(),
+        mesh=_mesh_params(s), constrain=_constrain_params(s, files.get("boundary.displacement")), solve=SolveParams(),
         warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill),
     )
 
@@ -178,14 +197,14 @@ def _mesh_params(s: "Scenario") -> MeshParams:
                    corridor_element_mm=s.mesh.corridor_element_mm)
 
 
-def _constrain_params(s: "Scenario") -> ConstrainParams:
+def _constrain_params(s: "Scenario", measured: Path | None) -> ConstrainParams:
     names = [cut.name for cut in s.cut]
-    rows = None if s.boundary.displacement is None else read_displacements(Path(s.boundary.displacement))
+    rows = None if measured is None else read_displacements(measured)
     return ConstrainParams(
         cuts=tuple(CutParams(cut.name, cut.points, cut.craniotomy, cut.internal) for cut in s.cut),
         retractions=tuple(
-            RetractParams(names.index(r.cut) if r.cut is not None else 0, 1 if r.side == "left" else -1,
-                          r.displacement_mm, r.normal_mm, r.force_mN_per_mm, r.blade) for r in s.retract),
+            RetractParams(names.index(r.cut), 1 if r.side == "left" else -1, r.displacement_mm,
+                          r.normal_mm, r.force_mN_per_mm, r.blade) for r in s.retract),
         space=s.space, young_kpa=s.tissue.young_kpa, poisson=s.tissue.poisson, stress_state=s.solve.stress_state,
         skull=s.boundary.skull, craniotomy_mm=s.boundary.craniotomy_mm, skull_ramp_mm=s.boundary.skull_ramp_mm,
         tip_enrichment=s.solve.tip_enrichment, lip_constraint=s.solve.lip_constraint, hold_tip=s.solve.hold_tip,

@@ -1,4 +1,4 @@
-"""Flags and scenario files in one raw scenario: flags win, paths become absolute.
+"""Flags and scenario files in one raw scenario: flags win.
 
 What is made here is raw: a dict as TOML gives it, which the schema then checks as a whole.
 """
@@ -54,35 +54,30 @@ def add_flags(raw: dict, flags: dict) -> list[str]:
     found = [f"{name}: unknown option" for name in sorted(set(given) - set(FLAGS) - set(CUT_FLAGS))]
     for name, place in FLAGS.items():
         if name in given:
-            _put(raw, place, _plain_flag(name, given[name]))
+            spacing = name == "spacing" and isinstance(given[name], str)
+            _put(raw, place, numbers(given[name]) if spacing else given[name])
     _add_cuts(raw, given, found)
     _add_lips(raw, given, found)
     return found
 
 
-def confined(raw: dict, folder: Path) -> dict:
-    """`raw` with its paths made absolute. Raises E781 when one leaves `folder`, also through a symbolic link."""
-    folder, outside = folder.resolve(), []
+def confined(raw: dict, folder: Path) -> dict[str, Path]:
+    """The files that a raw scenario in `folder` names, by place. Raises E781 when one lies outside the folder.
+
+    Symbolic links are followed before they are judged.
+    """
+    folder, files, outside = folder.resolve(), {}, []
     for place in PATHS:
         value = _get(raw, place)
         if not isinstance(value, str):
             continue
         if "\0" in value or Path(value).is_absolute() or not (folder / value).resolve().is_relative_to(folder):
             outside.append(f"{place}: {value!r}")
-        else:
-            _put(raw, place, str(folder / value))
+        files[place] = folder / value
     if outside:
         raise XfemnavError("E781", f"paths in a scenario stay in its folder {folder}; {'; '.join(outside)}. "
                                    "Move the file, or name it on the command line.")
-    return raw
-
-
-def _plain_flag(name: str, value):
-    if name in ("mask", "template", "template_mask", "mesh", "boundary_displacement"):
-        return str(Path(value).absolute())
-    if name == "spacing" and isinstance(value, str):
-        return numbers(value)
-    return value
+    return files
 
 
 def _add_cuts(raw: dict, given: dict, found: list[str]) -> None:

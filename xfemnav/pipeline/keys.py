@@ -45,10 +45,11 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def code_digest(layer: str, root: Path = PACKAGE) -> str:
-    """sha256 over the source of every module that `layer` can reach (table `LAYERS`)."""
+@cache
+def code_digest(layers: tuple[str, ...], root: Path = PACKAGE) -> str:
+    """sha256 over the source of every module that `layers` can reach (table `LAYERS`), and of `COMMON_CODE`."""
     sources = [root / name for name in COMMON_CODE]
-    for below in reach(layer):
+    for below in sorted(set().union(*map(reach, layers))):
         sources.extend((root / below).rglob("*.py"))
     return digest({source.relative_to(root).as_posix(): file_digest(source) for source in sources})
 
@@ -59,12 +60,12 @@ def library_versions(names: tuple[str, ...]) -> dict[str, str]:
     return {name: version(name) for name in names}
 
 
-def stage_key(stage: str, layer: str, params, inputs: dict[str, str], libraries: tuple[str, ...]) -> str:
+def stage_key(stage: str, layers: tuple[str, ...], libraries: tuple[str, ...], params, inputs: dict[str, str]) -> str:
     """Key of one stage: `params` is its frozen dataclass, `inputs` maps each input to the digest of its content."""
     return digest({
         "stage": stage,
         "params": params,
         "inputs": inputs,
-        "code": code_digest(layer),
+        "code": code_digest(layers),
         "libraries": library_versions(libraries),
     })

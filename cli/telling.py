@@ -1,0 +1,61 @@
+"""What the command says: one line a stage, one line an error, nothing that a terminal would obey."""
+
+import json
+import sys
+
+
+def printable(text: str) -> str:
+    """`text` on one line, with control characters and broken encodings as escapes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
+
+
+def complain(text: str) -> None:
+    """Print one line on stderr."""
+    print(printable(text), file=sys.stderr, flush=True)
+
+
+class Teller:
+    """Tells how a run gets on: stage lines on stdout, or on stderr when stdout is for one JSON object."""
+
+    def __init__(self, *, as_json: bool, quiet: bool, verbose: int):
+        self.as_json, self.quiet, self.verbose = as_json, quiet, verbose
+        self.spinner = None
+
+    def say(self, text: str) -> None:
+        """One line of human text."""
+        if not self.quiet:
+            print(printable(text), file=sys.stderr if self.as_json else sys.stdout, flush=True)
+
+    def started(self, stage: str) -> None:
+        """A stage has begun: on a terminal, show that it works."""
+        if sys.stderr.isatty() and not self.quiet:
+            from rich.console import Console
+
+            self.spinner = Console(stderr=True).status(f"{stage} ...")
+            self.spinner.start()
+
+    def stop(self) -> None:
+        """Take the sign of work away."""
+        if self.spinner is not None:
+            self.spinner.stop()
+            self.spinner = None
+
+    def finished(self, done) -> None:
+        """A stage has ended: its name, how it came, seconds, key and key figure, then its warnings."""
+        self.stop()
+        key = done.entry.key if self.verbose else done.entry.key[:12]
+        self.say(f"{done.name:<10} {done.status:<7} {done.seconds:7.2f} s  {key}  {done.line}")
+
+    def waiting(self) -> None:
+        """Another run holds the output folder."""
+        complain("waiting for another run to leave the output folder ...")
+
+    def warnings(self, record: dict) -> None:
+        """Every warning of a run, on stderr."""
+        if not self.quiet:
+            for item in record.get("warnings", ()):
+                complain(f"{item['code']} {item['text']}")
+
+    def json(self, value: dict) -> None:
+        """The one object on stdout."""
+        print(json.dumps(value, indent=2, sort_keys=True, allow_nan=False), flush=True)

@@ -1,0 +1,22 @@
+"""The paper's experiment on a real slice that nilearn brings along: no network is needed."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from xfemnav.errors import XfemnavError
+
+VOLUME = "datasets/data/mni_icbm152_t1_tal_nlin_sym_09a_converted.nii.gz"
+
+
+def image() -> Path:
+    """The MNI152 T1 volume of the installed nilearn. Raises E100 when nilearn is not there."""
+    found = find_spec("nilearn")
+    path = Path(found.submodule_search_locations[0]) / VOLUME if found else None
+    if path is None or not path.is_file():
+        raise XfemnavError("E100", "the demo needs the MNI152 image of nilearn: pip install 'xfemnav[demo]'.")
+    return path
+
+
+def flags() -> dict:
+    """A cut from the surface of the left frontal lobe to a plausible tumour, lips moved as in the paper's Sect. 5."""
+    return {"plane": "axial", "slice_mm": 18.0, "cut": ("-54.7,41.5 -22,18",), "left": "3.5,1", "right": "-3.5,-1"}

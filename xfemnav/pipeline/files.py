@@ -1,0 +1,123 @@
+"""Public files: meshes as VTU through meshio, images as NIfTI. The only caller of meshio, which is unmaintained."""
+
+import gzip
+import json
+import zlib
+from pathlib import Path
+from xml.etree.ElementTree import ParseError
+
+import numpy as np
+
+from xfemnav.errors import XfemnavError
+from xfemnav.geometry.mesh import Mesh, orient
+
+SAME_MM = 1e-6  # corners of neighbouring triangles closer than this, at rest and moved, are one vertex
+
+
+def write_nifti(path: Path, image) -> None:
+    """Write a nibabel image as .nii.gz without the time of day, so that equal images are equal files."""
+    path.write_bytes(gzip.compress(image.to_bytes(), compresslevel=6, mtime=0))
+
+
+def write_json(path: Path, value: dict) -> None:
+    """Write a sidecar or record: sorted names, readable, the same bytes for the same value."""
+    path.write_text(json_text(value))
+
+
+def json_text(value: dict) -> str:
+    """JSON text as in our public files."""
+    return json.dumps(value, indent=2, sort_keys=True, allow_nan=False) + "\n"
+
+
+def write_vtu(path: Path, points, cells, point_data: dict | None = None, cell_data: dict | None = None) -> None:
+    """Write triangles: `points` (n, 3) world RAS mm, `cells` (m, 3), data by name with one row a point or cell."""
+    import meshio
+
+    cell_data = {name: [values] for name, values in (cell_data or {}).items()}
+    meshio.Mesh(points, [("triangle", cells)], point_data or {}, cell_data).write(path, file_format="vtu")
+
+
+def read_vtu(path: Path, code: str):
+    """The meshio mesh in a VTU file, and its triangles. Raises E100, and the error `code` when it is none.
+
+    meshio ends the program on bad files (SystemExit): that is caught here.
+    """
+    import meshio
+
+    if not path.is_file():
+        raise XfemnavError("E100", f"no mesh file at {path}. Correct the path.")
+    head = path.read_bytes()[:1000]
+    if b"<VTKFile" not in head or b"<!" in head.replace(b"<!--", b""):
+        raise XfemnavError(code, f"{path.name} is no VTU file. Write it as VTU, for instance with meshio or ParaView.")
+    try:
+        mesh = meshio.read(path, file_format="vtu")
+        triangles = mesh.get_cells_type("triangle")
+    except (SystemExit, meshio.ReadError, ParseError, ValueError, LookupError, TypeError, AttributeError, OSError,
+            AssertionError, zlib.error, MemoryError) as error:
+        raise XfemnavError(code, f"{path.name} is a damaged VTU file ({type(error).__name__}: {error}). "
+                                 "Write it again.") from None
+    if len(triangles) == 0:
+        raise XfemnavError(code, f"{path.name} holds no triangles. Write a VTU of triangles in mm (RAS).")
+    return mesh, triangles
+
+
+def read_mesh(path: Path, slice, min_quality: float = 0.05) -> Mesh:
+    """The user's mesh in the plane of `slice`: VTU triangles, world RAS mm. Raises E100 and E209."""
+    found, triangles = read_vtu(path, "E209")
+    if not np.isfinite(found.points).all():
+        raise XfemnavError("E209", f"{path.name} has points that are NaN or infinite. Write it again.")
+    used, cells = np.unique(triangles, return_inverse=True)
+    points, distance = slice.from_world(found.points[used])
+    if abs(distance).max() > slice.thickness / 2 * (1 + 1e-6):
+        raise XfemnavError("E209", f"{path.name} lies up to {abs(distance).max():.2f} mm off the slice, over half its "
+                                   f"thickness ({slice.thickness / 2:.2f} mm). Its points are world RAS mm.")
+    cells = cells.reshape(-1, 3)
+    turned = orient(*points[cells].swapaxes(0, 1)) < 0
+    cells[turned] = cells[turned][:, [0, 2, 1]]
+    return _checked_mesh(path.name, points, cells, min_quality)
+
+
+def _checked_mesh(name: str, points, cells, min_quality: float) -> Mesh:
+    """A mesh of one piece, without holes, overlaps or flat triangles. Raises E209."""
+    try:
+        mesh = Mesh(points, cells)
+        loops = mesh.boundary_loops
+    except ValueError as error:
+        raise XfemnavError("E209", f"{name}: {error}. Mend the mesh.") from None
+    worst = int(np.argmin(mesh.quality))
+    if mesh.quality[worst] < min_quality:
+        raise XfemnavError("E209", f"{name}: triangle {worst} has quality {mesh.quality[worst]:.3f}, "
+                                   f"below {min_quality}. Mend the mesh.")
+    edges = np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    if np.unique(edges, axis=0, return_counts=True)[1].max() > 2:
+        raise XfemnavError("E209", f"{name}: an edge belongs to more than two triangles. Mend the mesh.")
+    if len(loops) != 1:
+        raise XfemnavError("E209", f"{name}: the mesh has {len(loops)} boundary loops (holes or several pieces); "
+                                   "one is wanted.")
+    x, y = points[loops[0]].T
+    enclosed = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
+    if abs(enclosed - mesh.areas.sum()) > 1e-6 * mesh.areas.sum():
+        raise XfemnavError("E209", f"{name}: triangles overlap ({mesh.areas.sum():.2f} mm2 of triangles inside an "
+                                   f"outline of {enclosed:.2f} mm2). Mend the mesh.")
+    return mesh
+
+
+def write_soup(path: Path, slice, rest, moved, cell_data: dict) -> None:
+    """Write the deformed triangles: points at rest, `displacement` (3) at the points, `cell_data` by triangle.
+
+    rest, moved (t, 3, 2) plane mm. Corners that are equal at rest and moved become one vertex: lips stay double.
+    """
+    both = np.concatenate([rest, moved], axis=2).reshape(-1, 4)
+    _, first, cells = np.unique(np.rint(both / SAME_MM), axis=0, return_index=True, return_inverse=True)
+    at_rest, displaced = both[first, :2], both[first, 2:] - both[first, :2]
+    write_vtu(path, slice.to_world(at_rest), cells.reshape(-1, 3), {"displacement": displaced @ slice.axes[:2]},
+              cell_data)
+
+
+def read_soup(path: Path, frame) -> tuple[np.ndarray, np.ndarray]:
+    """rest, moved (t, 3, 2) plane mm of the file that `write_soup` wrote. Raises E100 and E701."""
+    found, cells = read_vtu(path, "E701")
+    if "displacement" not in found.point_data:
+        raise XfemnavError("E701", f"{path.name} has no point data 'displacement'; it is no solution of xfemnav.")
+    rest = frame.from_world(found.points)[0]
+    return rest[cells], (rest + found.point_data["displacement"] @ frame.axes[:2].T)[cells]

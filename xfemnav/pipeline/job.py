@@ -1,0 +1,164 @@
+"""One run, from a checked configuration to run.json."""
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from xfemnav import __version__
+from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
+from xfemnav.pipeline.cache import Cache
+from xfemnav.pipeline.chain import Chain, Done, Warned, page_key
+from xfemnav.pipeline.config import Config
+from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
+from xfemnav.pipeline.stages import INVERTED_LIMIT_MM2
+
+
+class Interrupted(BaseException):
+    """SIGINT, SIGTERM or SIGHUP arrived; `signum` is its number."""
+
+    def __init__(self, signum: int):
+        super().__init__(f"interrupted by signal {signum}")
+        self.signum = signum
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a run does beside its configuration: where it writes, how far it goes, what it computes again."""
+
+    output: Path
+    cache: Path
+    until: str = "warp"
+    force_from: str | None = None
+    report: bool = True
+    argv: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told how a run gets on."""
+
+    started: Callable[[str], None] = lambda stage: None
+    finished: Callable[[Done], None] = lambda done: None
+    waiting: Callable[[], None] = lambda: None
+
+
+def default_output(image: Path) -> Path:
+    """./<stem>_xfemnav."""
+    return Path(f"{stem(image)}_xfemnav")
+
+
+def default_cache() -> Path:
+    """$XFEMNAV_CACHE, else ~/.cache/xfemnav."""
+    return Path(os.environ.get("XFEMNAV_CACHE") or "~/.cache/xfemnav").expanduser()
+
+
+@contextmanager
+def opened_cache(root: Path) -> Iterator[tuple[Cache, tuple[Warned, ...]]]:
+    """The cache at `root`; when that cannot be written, a temporary one, with warning W602."""
+    with ExitStack() as stack:
+        warned = ()
+        try:
+            cache = Cache(root)
+        except XfemnavError as error:
+            if error.code != "E502":
+                raise
+            warned = (Warned("W602", f"the cache folder {root} cannot be written; nothing is kept for the next run."),)
+            cache = Cache(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xfemnav-"))))
+        stack.enter_context(cache.in_use())
+        yield cache, warned
+
+
+def run(config: Config, options: Options, listener: Listener = Listener()) -> dict:
+    """Run the stages, publish their files, and return the record that was written as run.json.
+
+    A failure is recorded in run.json and raised again: XfemnavError, Interrupted, or a bug.
+    """
+    output = options.output.absolute()
+    with (output_folder(output, config.image, listener.waiting) as folder,
+          opened_cache(options.cache) as (cache, warned)):
+        folder.refuse_overwriting([*config.inputs().values()])
+        chain = Chain(config, cache, options.force_from, listener.started, listener.finished)
+        chain.warned += warned
+        record = {"schema": SCHEMA, "version": __version__, "argv": list(options.argv), "parameters": config.parameters}
+        try:
+            return _run(chain, options, folder, record)
+        except BaseException as error:
+            folder.write_record(_reported(chain, record) | failure(error))
+            folder.remove_earlier()
+            raise
+
+
+def plan(config: Config, options: Options) -> list[tuple[str, str, str | None]]:
+    """What `run` would do, stage by stage; nothing is written but the digests of inputs in the cache."""
+    with opened_cache(options.cache) as (cache, _):
+        chain = Chain(config, cache, options.force_from)
+        chain.read_inputs()
+        return chain.plan(options.until)
+
+
+def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> dict:
+    chain.read_inputs()
+    done = chain.run(options.until)
+    if chain.config.strict and chain.warned:
+        first = chain.warned[0]
+        raise XfemnavError(first.code, f"{first.text} (--strict makes warnings errors)")
+    record = _reported(chain, record) | {"status": "complete", "exit_code": 0}
+    checks = record.get("checks", {})
+    if checks.get("inverted_mm2", 0) > INVERTED_LIMIT_MM2:
+        safe = done["solve"].facts["safe_fraction"]
+        text = (f"the retraction folds the tissue: {checks['inverted_mm2']:.2f} mm2 are inverted, over "
+                f"{INVERTED_LIMIT_MM2:g} mm2. The largest safe opening is {safe:.3f} of this one. "
+                "The results are written, and marked untrusted (exit 3).")
+        record |= {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
+    files = {role: (path, item.entry.files[f"public/{path.name}"])
+             for item in done.values() for role, path in item.public().items()}
+    if options.report and options.until == "warp":
+        figure = chain.draw()
+        files["figure"] = figure.public()["figure"], figure.entry.files["public/figure.png"]
+        record["outputs"] = folder.names((*files, "report"))
+        files["report"] = _page(chain, record, files["figure"][0])
+    record["outputs"] = folder.publish(files, record)
+    folder.write_record(record)
+    return record
+
+
+def _reported(chain: Chain, record: dict) -> dict:
+    """`record` with what the stages that finished have reported."""
+    image = chain.input_facts.get("image")
+    found = {
+        "input": image and {name: image[name] for name in ("sha256", "shape", "affine", "dtype")},
+        "stages": [{"name": done.name, "status": done.status, "key": done.entry.key, "seconds": round(done.seconds, 4)}
+                   for done in chain.inputs.done.values()],
+        "warnings": [vars(item) for item in dict.fromkeys(chain.warned)],
+        "outputs": {},
+    }
+    for done in chain.inputs.done.values():
+        for name, fact in done.facts.items():
+            if name != "safe_fraction":
+                found[name] = found.get(name, {}) | fact if isinstance(fact, dict) else fact
+    return record | found
+
+
+def failure(error: BaseException) -> dict:
+    """Status, exit code and error of a run that ended with `error`."""
+    if isinstance(error, XfemnavError):
+        exit_code = FAULTS[error.code].exit_code or EXIT_DATA
+        return {"status": "failed", "exit_code": exit_code, "error": {"code": error.code, "text": error.message}}
+    if isinstance(error, Interrupted | KeyboardInterrupt):
+        return {"status": "interrupted", "exit_code": 128 + getattr(error, "signum", 2)}
+    text = f"{type(error).__name__}: {error}"
+    return {"status": "failed", "exit_code": FAULTS["E900"].exit_code, "error": {"code": "E900", "text": text}}
+
+
+def _page(chain: Chain, record: dict, figure: Path) -> tuple[Path, str]:
+    """The report in the cache, and its sha256."""
+    def build(folder: Path) -> None:
+        from xfemnav.pipeline.report import write_report
+
+        write_report(record, folder, figure)
+
+    entry, _ = chain.cache.obtain(page_key(record), build)
+    return entry.folder / "report.html", entry.files["report.html"]

@@ -1,0 +1,130 @@
+"""The output folder: public files put in place one by one, each whole, and run.json last of all.
+
+While files are being replaced, run.json says 'interrupted', so that a folder whose run died never looks complete.
+"""
+
+import json
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from xfemnav.errors import XfemnavError
+from xfemnav.pipeline.disk import remove_temporaries, write_atomic, writing
+from xfemnav.pipeline.files import json_text
+from xfemnav.pipeline.keys import file_digest
+from xfemnav.pipeline.locks import locked
+
+RECORD = "run.json"
+SCHEMA = "xfemnav-run/1"
+BIDS = re.compile(r"(sub-[A-Za-z0-9]+(?:_[a-z]+-[A-Za-z0-9]+)*)_([A-Za-z0-9]+)$")
+#: role: (description entity, suffix; None keeps the image's own, ending)
+NAMES = {
+    "mask": ("brain", "mask", ".nii.gz"),
+    "mesh": (None, "mesh", ".vtu"),
+    "solution": (None, "solution", ".vtu"),
+    "updated": ("updated", None, ".nii.gz"),
+    "cavity": ("cavity", "mask", ".nii.gz"),
+    "overlap": ("overlap", "mask", ".nii.gz"),
+    "field": ("field", "xfm", ".nii.gz"),
+}
+SIDECARS = {
+    "mask": {"Description": "Organ in the slice, holes filled", "Type": "Brain"},
+    "updated": {"Description": "The slice after the cut and retraction"},
+    "cavity": {"Description": "Pixels of the organ that hold no tissue after the motion", "Type": "ROI"},
+    "overlap": {"Description": "Pixels that hold tissue twice after the motion", "Type": "ROI"},
+    "field": {"Description": "Resting position minus position; 0 where there is no tissue", "Units": "mm",
+              "VectorFrame": "LPS+", "Direction": "output->input"},
+}
+
+
+def stem(image: Path) -> str:
+    """Name of an image without .nii or .nii.gz."""
+    return re.sub(r"\.nii(\.gz)?$", "", image.name, flags=re.IGNORECASE)
+
+
+def public_name(image: Path, role: str) -> str:
+    """File name of an output: BIDS names keep their suffix (sub-01_T1w -> sub-01_desc-updated_T1w)."""
+    if role not in NAMES:
+        return {"figure": "figure.png", "report": "report.html"}[role]
+    description, suffix, ending = NAMES[role]
+    match = BIDS.match(stem(image))
+    base, own = match.groups() if match else (stem(image), None)
+    if match and description:
+        base = re.sub(r"_desc-[A-Za-z0-9]+", "", base)
+    parts = [base, description and f"desc-{description}", suffix or own]
+    return "_".join(filter(None, parts)) + ending
+
+
+def run_schema() -> dict:
+    """The JSON Schema of run.json."""
+    return json.loads(Path(__file__).with_name("run.schema.json").read_text())
+
+
+class OutputFolder:
+    """A folder that this process holds; see `output_folder`."""
+
+    def __init__(self, path: Path, image: Path):
+        self.path, self.image = path, image
+        self.earlier = self._outputs_of_earlier_run()
+
+    def names(self, roles) -> dict[str, str]:
+        """Public name of each role."""
+        return {role: public_name(self.image, role) for role in roles}
+
+    def publish(self, files: dict[str, tuple[Path, str]], record: dict) -> dict[str, str]:
+        """Put `files` (role -> path in the cache, sha256) in place; their public names by role."""
+        names = self.names(files)
+        self.write_record(record | {"status": "interrupted", "exit_code": 130, "outputs": {}})
+        for role, (source, sha256) in files.items():
+            self._put(names[role], source, sha256)
+            if role in SIDECARS:
+                sidecar = SIDECARS[role] | {"Sources": [self.image.name], "GeneratedBy": [
+                    {"Name": "xfemnav", "Version": record["version"]}]}
+                write_atomic(self.path / names[role].replace(".nii.gz", ".json"), json_text(sidecar).encode())
+        self.remove_earlier(keep=set(names.values()))
+        return names
+
+    def write_record(self, record: dict) -> None:
+        """Write run.json in one step."""
+        write_atomic(self.path / RECORD, json_text(record).encode(errors="backslashreplace"))
+
+    def remove_earlier(self, keep: frozenset[str] | set[str] = frozenset()) -> None:
+        """Remove outputs of the earlier run that this one does not make: the folder holds what run.json says."""
+        with writing(self.path, "the outputs"):
+            for name in self.earlier - keep:
+                (self.path / name).unlink(missing_ok=True)
+                if name.endswith(".nii.gz"):
+                    (self.path / name.replace(".nii.gz", ".json")).unlink(missing_ok=True)
+
+    def refuse_overwriting(self, inputs: list[Path]) -> None:
+        """Raise E504 when a public file would take the place of an input."""
+        targets = {(self.path / public_name(self.image, role)).resolve() for role in (*NAMES, "figure", "report")}
+        for path in inputs:
+            if path.resolve() in targets:
+                raise XfemnavError("E504", f"the output would overwrite the input {path}. Give another folder with -o.")
+
+    def _put(self, name: str, source: Path, sha256: str) -> None:
+        target = self.path / name
+        if not (target.is_file() and not target.is_symlink() and file_digest(target) == sha256):
+            write_atomic(target, source.read_bytes())
+
+    def _outputs_of_earlier_run(self) -> set[str]:
+        """Names of public files in the folder, from its run.json; a name that leads elsewhere is left out."""
+        try:
+            outputs = json.loads((self.path / RECORD).read_bytes())["outputs"]
+            return {name for name in outputs.values() if os.sep not in name and name not in (".", "..")}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return set()
+
+
+@contextmanager
+def output_folder(path: Path, image: Path, waiting: Callable[[], None]) -> Iterator[OutputFolder]:
+    """Make and hold the output folder; `waiting` is called when another run holds it. Raises E501 to E503."""
+    with writing(path.parent, f"the output folder {path.name}"):
+        path.mkdir(parents=True, exist_ok=True)
+    with locked(path, waiting=waiting):
+        with writing(path, "the outputs"):
+            remove_temporaries(path)
+        yield OutputFolder(path, image)
