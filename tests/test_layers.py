@@ -20,7 +20,7 @@ HOMES = {
     "numpy": EVERYWHERE - {"cli"},
     "scipy": EVERYWHERE - {"cli"},
     "numba": {"geometry", "mechanics", "imaging"},
-    "shapely": {"geometry", "mechanics", "imaging"},
+    "shapely": EVERYWHERE - {"cli"},
     "nibabel": {"imaging"},
     "SimpleITK": {"imaging"},
     "skimage": {"imaging"},
