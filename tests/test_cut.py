@@ -147,6 +147,9 @@ def test_any_path_is_placed_inside_or_refused_with_a_code(path, angle, internal)
     assert organ.exterior.distance(substring(line, 1e-6, line.length - 1e-6)) > 1e-9
     assert cut.mouth == (organ.exterior.distance(shapely.Point(cut.path[0])) < 1e-9)
     assert shapely.is_simple(line)
+    drawn = shapely.LineString(path)
+    inner = [drawn.project(shapely.Point(x)) for x in cut.path[int(cut.mouth) :]]
+    assert (np.diff(inner) > 0).all(), "the cut was turned round"
 
 
 @pytest.mark.filterwarnings("ignore::xfemnav.errors.XfemnavWarning")
