@@ -99,7 +99,7 @@ def _file_bytes(path, limit: int) -> bytes:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise XfemnavError("E100", f"cannot open {path}: {reason}. Correct the path.") from None
-    with os.fdopen(handle, "rb") as file:
+    try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
             raise XfemnavError("E106", f"{path} is a folder, pipe or device, not a file; give an image file (.nii.gz).")
@@ -108,10 +108,12 @@ def _file_bytes(path, limit: int) -> bytes:
         if status.st_size > limit:
             raise XfemnavError("E102", f"{name} holds {_size(status.st_size)}, over the limit of {_size(limit)}; "
                                        "raise it with --max-memory if the file is right.")
-        try:
-            return file.read()
-        except OSError as error:
-            raise XfemnavError("E101", f"cannot read {name}: {error.strerror}. Copy it again.") from None
+        with os.fdopen(handle, "rb", closefd=False) as file:
+            return file.read(status.st_size)
+    except OSError as error:
+        raise XfemnavError("E101", f"cannot read {name}: {error.strerror}. Copy it again.") from None
+    finally:
+        os.close(handle)
 
 
 def _format_of(head: bytes, name: str):

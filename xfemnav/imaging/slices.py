@@ -230,11 +230,11 @@ def _same_grid(voxels: np.ndarray, nearest: np.ndarray, image: Image) -> bool:
             and bool(((nearest >= 0) & (nearest < image.values.shape)).all()))
 
 
-def read_mask(path, like: Slice, *, resample: bool = False, max_memory_gb: float = 4.0) -> np.ndarray:
+def read_mask(path, like: Slice, *, resample: bool = False, spacing=None, max_memory_gb: float = 4.0) -> np.ndarray:
     """Mask (n1, n2) bool on the pixels of `like`: non-zero is organ; largest component, holes filled.
 
     The file is a slice or a volume on the same grid, in any storage order; with `resample`, on any grid (nearest
     neighbour). Raises E204 when grids differ, E201 and E203 for a mask without outline, and what `read_image` raises.
     """
-    image = read_image(path, max_memory_gb=max_memory_gb)
+    image = read_image(path, spacing=spacing, max_memory_gb=max_memory_gb)
     return clean(values_on(image, like, resample="nearest" if resample else None) != 0, like.spacing)

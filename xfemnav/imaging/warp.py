@@ -160,6 +160,30 @@ def _nearest(out, values, points, origin, spacing):
 
 
 @njit(cache=True)
+def _crossings(m, counter_clockwise, edges):
+    """Where the edges of the triangle `m` (3, 2) pixels cross row i: at edges[k, 0] + edges[k, 1] * i.
+
+    Edges with the triangle at higher columns come first, and their number is returned. edges[k, 2] is the distance
+    along the row in which the distance from the edge grows by ON_EDGE.
+    """
+    n_left, n_right = 0, 0
+    for k in range(3):
+        a, b = (m[k], m[(k + 1) % 3]) if counter_clockwise else (m[(k + 1) % 3], m[k])
+        di, dj = b[0] - a[0], b[1] - a[1]
+        length = (di * di + dj * dj) ** 0.5
+        if abs(di) < 1e-12 * length:
+            di = 1e-12 * length    # an edge along the row, turned by less than rounding
+        if di > 0:
+            row, n_left = n_left, n_left + 1
+        else:
+            row, n_right = 2 - n_right, n_right + 1
+        edges[row, 1] = dj / di
+        edges[row, 0] = a[1] - edges[row, 1] * a[0]
+        edges[row, 2] = ON_EDGE * length / abs(di)
+    return n_left
+
+
+@njit(cache=True)
 def _rasterise(rest, moved, n1, n2):
     """`resting`, `count`, `folded`, `triangle` of PullBack; `rest` (t, 3, 2) mm, `moved` (t, 3, 2) pixels.
 
@@ -168,43 +192,33 @@ def _rasterise(rest, moved, n1, n2):
     """
     resting, triangle = np.full((n1, n2, 2), np.nan), np.full((n1, n2), -1, np.int32)
     count, folded = np.zeros((n1, n2), np.uint16), np.zeros((n1, n2), np.uint16)
-    slope, level = np.empty((3, 2)), np.empty(3)
+    edges = np.empty((3, 3))
     for c in range(len(rest)):
         m, r = moved[c], rest[c]
         ex, ey, fx, fy = m[1, 0] - m[0, 0], m[1, 1] - m[0, 1], m[2, 0] - m[0, 0], m[2, 1] - m[0, 1]
         gx, gy, hx, hy = r[1, 0] - r[0, 0], r[1, 1] - r[0, 1], r[2, 0] - r[0, 0], r[2, 1] - r[0, 1]
         twice = ex * fy - ey * fx
-        upright = twice * (gx * hy - gy * hx) > 0
-        turn = 1.0 if twice > 0 else -1.0
-        longest = 0.0
-        for k in range(3):    # inside where slope . x + level, the distance from the edge, is positive
-            a, b = m[k], m[(k + 1) % 3]
-            length = np.hypot(b[0] - a[0], b[1] - a[1])
-            longest = max(longest, length)
-            if length > 0:
-                slope[k, 0], slope[k, 1] = -turn * (b[1] - a[1]) / length, turn * (b[0] - a[0]) / length
-                level[k] = -slope[k, 0] * a[0] - slope[k, 1] * a[1]
+        longest = max(ex * ex + ey * ey, fx * fx + fy * fy, (fx - ex) ** 2 + (fy - ey) ** 2) ** 0.5
         if abs(twice) <= ON_EDGE * longest:
             continue    # too flat to hold a pixel that its neighbours do not claim
+        upright = twice * (gx * hy - gy * hx) > 0
         # resting place = r0 + A (x - m0)
         A00, A01 = (gx * fy - hx * ey) / twice, (hx * ex - gx * fx) / twice
         A10, A11 = (gy * fy - hy * ey) / twice, (hy * ex - gy * fx) / twice
-        low, high = min(m[0, 1], m[1, 1], m[2, 1]) - ON_EDGE, max(m[0, 1], m[1, 1], m[2, 1]) + ON_EDGE
+        left, right = min(m[0, 1], m[1, 1], m[2, 1]) - ON_EDGE, max(m[0, 1], m[1, 1], m[2, 1]) + ON_EDGE
         first = max(int(np.ceil(min(m[0, 0], m[1, 0], m[2, 0]) - ON_EDGE)), 0)
         last = min(int(np.floor(max(m[0, 0], m[1, 0], m[2, 0]) + ON_EDGE)), n1 - 1)
+        if first > last:
+            continue
+        n_left = _crossings(m, twice > 0, edges)
         for i in range(first, last + 1):
-            begin, end, inner_begin, inner_end = max(low, 0.0), min(high, n2 - 1.0), -1.0, float(n2)
+            begin, end, inner_begin, inner_end = max(left, 0.0), min(right, n2 - 1.0), -1.0, float(n2)
             for k in range(3):
-                value, s = slope[k, 0] * i + level[k], slope[k, 1]
-                if abs(s) < 1e-14:
-                    if value < -ON_EDGE:
-                        end = -1.0
-                    if value <= ON_EDGE:
-                        inner_end = -1.0
-                elif s > 0:
-                    begin, inner_begin = max(begin, (-value - ON_EDGE) / s), max(inner_begin, (-value + ON_EDGE) / s)
+                at, width = edges[k, 0] + edges[k, 1] * i, edges[k, 2]
+                if k < n_left:
+                    begin, inner_begin = max(begin, at - width), max(inner_begin, at + width)
                 else:
-                    end, inner_end = min(end, (-value - ON_EDGE) / s), min(inner_end, (-value + ON_EDGE) / s)
+                    end, inner_end = min(end, at + width), min(inner_end, at - width)
             for j in range(int(np.ceil(begin)), int(np.floor(end)) + 1):
                 inside = inner_begin < j < inner_end
                 if triangle[i, j] < 0 or (inside and upright and count[i, j] == 0):
