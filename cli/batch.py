@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
+from xfemnav_cli.telling import printable
 
 from xfemnav.errors import EXIT_OK, EXIT_SOME_FAILED, EXIT_UNTRUSTED
 
@@ -44,11 +45,6 @@ class Outcome:
         return printable(f"{self.item.scenario.stem:<24} {self.result:<10} {done:<18} {self.message}".rstrip())
 
 
-def printable(text: str) -> str:
-    """`text` without control characters: a file name must not command the terminal."""
-    return "".join(letter if letter.isprintable() else f"\\x{ord(letter):02x}" for letter in text)
-
-
 def find_items(source: Path, target: Path) -> list[Item]:
     """Every scenario of `source` with an image of its name, in the order of their names."""
     items = []
@@ -62,7 +58,7 @@ def run_item(item: Item, started: list[subprocess.Popen]) -> Outcome:
     """Run one slice to its end. A crash, a signal or a full memory ends this process and no other."""
     # Absolute paths: a name such as -x.nii must not look like an option.
     arguments = [item.image.absolute(), "--scenario", item.scenario.absolute(), "-o", item.folder.absolute(), "-q"]
-    command = [sys.executable, "-m", "xfemnav_cli.main", "run", *map(str, arguments)]
+    command = [sys.executable, "-c", "from xfemnav_cli.main import main; main()", "run", *map(str, arguments)]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     started.append(process)
     words = process.communicate()[1].decode(errors="replace").strip().splitlines()
@@ -109,4 +105,4 @@ def batch(source: Path, target: Path, jobs: int):
         click.echo(outcome.row())
     counts = Counter(outcome.result for outcome in outcomes)
     click.echo(", ".join(f"{counts[result]} {result}" for result in ("updated", "untrusted", "failed")))
-    sys.exit(EXIT_OK if counts["updated"] == len(items) else EXIT_SOME_FAILED)
+    return EXIT_OK if counts["updated"] == len(items) else EXIT_SOME_FAILED

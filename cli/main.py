@@ -4,7 +4,7 @@ import sys
 import traceback
 
 import click
-from xfemnav_cli import run, tools
+from xfemnav_cli import batch, run, tools
 from xfemnav_cli.telling import complain, printable
 
 from xfemnav import __version__
@@ -20,7 +20,7 @@ def cli():
     """
 
 
-for command in (run.run, *run.stage_commands, run.demo, tools.check, tools.schema, tools.cache):
+for command in (run.run, *run.stage_commands, run.demo, batch.batch, tools.check, tools.schema, tools.cache):
     cli.add_command(command)
 
 

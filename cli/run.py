@@ -120,13 +120,17 @@ stage_commands = (
 
 
 @click.command()
-@_with(RUNNING, WHOLE)
+@_with(MESH, MECHANICS, WARP, RUNNING, WHOLE)
 def demo(**given):
-    """The paper's experiment on a real slice: MNI152 T1, axial z = +18 mm, cut and opened by +-(3.5, 1) mm."""
+    """The paper's experiment on a real slice: MNI152 T1, axial z = +18 mm, cut and opened by +-(3.5, 1) mm.
+
+    Options change it: `--lip-constraint pointwise --corridor-mm 0` are the paper's own choices.
+    """
     from xfemnav.pipeline.demo import flags, image
 
     given["output"] = given["output"] or Path("xfemnav_demo")
-    return execute(image=image(), **flags(), **given)
+    changed = {name: value for name, value in given.items() if value is not None and value != ()}
+    return execute(image=image(), **(flags() | changed))
 
 
 def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False, force=False, force_from=None,

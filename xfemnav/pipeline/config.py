@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from xfemnav.pipeline.scenario import Scenario
 
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
+BLADE = (0.0, 0.8)  # a lip held right up to the tip has infinite energy
 
 
 @dataclass(frozen=True)
@@ -170,8 +171,7 @@ def scenario_problems(path: Path) -> list[str]:
 
 
 def _resolved(s: "Scenario", files: dict[str, Path]) -> Config:
-    retracts = tuple(r if r.cut is not None else r.model_copy(update={"cut": s.cut[0].name}) for r in s.retract)
-    s = s.model_copy(update={"retract": retracts})
+    s = s.model_copy(update={"retract": tuple(_filled(r, s) for r in s.retract)})
     return Config(
         parameters=s.model_dump(mode="json", exclude={"xfemnav"}),
         image=files["image"], mask=files.get("mask"), template=files.get("segment.template"),
@@ -183,6 +183,13 @@ def _resolved(s: "Scenario", files: dict[str, Path]) -> Config:
         mesh=_mesh_params(s), constrain=_constrain_params(s, files.get("boundary.displacement")), solve=SolveParams(),
         warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill),
     )
+
+
+def _filled(r, s: "Scenario"):
+    """A blade with what was left out: the only cut, and 0 to .8 of its length. Pointwise rows then hold the whole lip
+    but the tip's cell, as the paper."""
+    whole = s.solve.lip_constraint == "pointwise" and r.force_mN_per_mm is None
+    return r.model_copy(update={"cut": r.cut or s.cut[0].name, "blade": r.blade or (None if whole else BLADE)})
 
 
 def _mesh_params(s: "Scenario") -> MeshParams:

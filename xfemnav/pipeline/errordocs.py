@@ -14,7 +14,7 @@ HEAD = """\
 Written by `make docs` from the table `FAULTS` in `xfemnav/errors.py`, which the program uses too; edit it there.
 
 Every failure is one line: a code, what is wrong, where, and how to mend it. A traceback is printed only with `-vv`.
-Warnings do not stop a run; they are printed, kept in `run.json` and shown in the report, and `--strict` makes them errors.
+Warnings do not stop a run; they are printed, kept in `run.json` and shown in the report; `--strict` makes them errors.
 
 | exit status | meaning |
 |--|--|
