@@ -25,7 +25,8 @@ class Subcells:
     corners (s, 3, 2) mm: triangles, positively oriented; `part` (s,): the part that each belongs to.
     part_cell (p,): the cell of each part.
     joins (j, 4): parts p, q, and two local flags packed as cell nodes i, k that the contact lets through: for a contact
-        across a mesh edge its two nodes, for a contact inside a cell (-1, -1), meaning all three.
+        across a mesh edge its two nodes, for a contact inside a cell (-1, -1), meaning all three. join_middle (j, 2)
+        mm: the middle of the contact.
     lip_cut (l,), lip_ends (l, 2, 2) mm, lip_arc (l, 2) mm from the mouth, lip_parts (l, 2): pieces of the cut inside
         one cell (or along an edge), in travel order; the parts on the left (+1) and on the right (-1).
     lip_on_edge (l, 2): whether each end lies on a mesh edge or node.
@@ -39,6 +40,7 @@ class Subcells:
     part: np.ndarray
     part_cell: np.ndarray
     joins: np.ndarray
+    join_middle: np.ndarray
     lip_cut: np.ndarray
     lip_ends: np.ndarray
     lip_arc: np.ndarray
@@ -60,6 +62,7 @@ class Subcells:
             ("part", np.int64, (n,)),
             ("part_cell", np.int64, (n,)),
             ("joins", np.int64, (n, 4)),
+            ("join_middle", float, (n, 2)),
             ("lip_cut", np.int64, (n,)),
             ("lip_ends", float, (n, 2, 2)),
             ("lip_arc", float, (n, 2)),
@@ -125,6 +128,7 @@ def _assemble(mesh, paths, segments, ends, polygons):
                 xy = np.array([edge[:2] for edge in polygon])
                 if (np.hypot(*(xy - tip).T) < REACH * mesh.sizes[c]).any():
                     touch.append((t, p))
+    joins, join_middle = _joins(mesh, polygons, part_of)
     lips = _lips(mesh, segments, polygons, part_of)
     rim_part, rim_ends = _rim(mesh, polygons, part_of)
     travel = [(path[0] - path[1]) if end == 0 else (path[-1] - path[-2]) for _, path, end in ends]
@@ -132,7 +136,8 @@ def _assemble(mesh, paths, segments, ends, polygons):
         corners=np.concatenate(corners),
         part=np.concatenate(part),
         part_cell=part_cell,
-        joins=_joins(mesh, polygons, part_of),
+        joins=joins,
+        join_middle=join_middle,
         lip_cut=[row[0] for row in lips],
         lip_arc=np.array([row[1] for row in lips]).reshape(-1, 2),
         lip_ends=np.array([row[2] for row in lips]).reshape(-1, 2, 2),
@@ -150,17 +155,21 @@ def _assemble(mesh, paths, segments, ends, polygons):
 
 
 def _joins(mesh, polygons, part_of):
-    """Contacts (j, 4): part, part, and the two nodes that it lets through, or (-1, -1) inside a cell."""
+    """Contacts (j, 4): part, part, and the two nodes let through ((-1, -1) inside a cell: all); and their middles."""
     cell, local = np.nonzero(mesh.neighbours > np.arange(len(mesh.cells))[:, None])
     other = mesh.neighbours[cell, local]
     i, k = mesh.cells[cell, (local + 1) % 3], mesh.cells[cell, (local + 2) % 3]
     touched = np.zeros(len(mesh.cells), dtype=bool)
     touched[list(polygons)] = True
     plain = ~(touched[cell] | touched[other])
-    joins = [np.stack([cell[plain], other[plain], i[plain], k[plain]], axis=1)]
+    joins, middles = [], []
     for c, d, a, b in np.stack([cell, other, i, k], axis=1)[~plain].tolist():
+        start, travel = mesh.points[a], mesh.points[b] - mesh.points[a]
+        travel = travel / np.hypot(*travel)
         sides = [_facets_on_edge(mesh, polygons, part_of, e, a, b) for e in (c, d)]
-        joins.extend([(p, q, a, b)] for p, q in _overlaps(*sides, SEVER * mesh.sizes[c]))
+        for p, q, middle in _overlaps(*sides, SEVER * mesh.sizes[c]):
+            joins.append((p, q, a, b))
+            middles.append(start + middle * travel)
     for c, cell_polygons in polygons.items():
         lines = {}
         for p, polygon in zip(part_of[c], cell_polygons):
@@ -176,8 +185,15 @@ def _joins(mesh, polygons, part_of):
             for p, xa, ya, xb, yb in facets:
                 ta, tb = (xa - x) * dx + (ya - y) * dy, (xb - x) * dx + (yb - y) * dy
                 sides[int(tb < ta)].append((min(ta, tb), max(ta, tb), p))
-            joins.extend([(p, q, -1, -1)] for p, q in _overlaps(*sides, SEVER * mesh.sizes[c]))
-    return np.concatenate([np.asarray(rows, dtype=int).reshape(-1, 4) for rows in joins])
+            for p, q, middle in _overlaps(*sides, SEVER * mesh.sizes[c]):
+                joins.append((p, q, -1, -1))
+                middles.append((x + middle * dx, y + middle * dy))
+    whole = np.stack([cell, other, i, k], axis=1)[plain]
+    whole_middles = (mesh.points[i[plain]] + mesh.points[k[plain]]) / 2
+    return (
+        np.concatenate([whole, np.array(joins, dtype=int).reshape(-1, 4)]),
+        np.concatenate([whole_middles, np.array(middles).reshape(-1, 2)]),
+    )
 
 
 def _facets_on_edge(mesh, polygons, part_of, c, a, b):
@@ -200,8 +216,14 @@ def _facets_on_edge(mesh, polygons, part_of, c, a, b):
 
 
 def _overlaps(one, two, least):
-    """Pairs of parts whose intervals overlap by more than `least`."""
-    return sorted({(p, q) for a0, a1, p in one for b0, b1, q in two if min(a1, b1) - max(a0, b0) > least})
+    """Pairs of parts whose intervals overlap by more than `least`, and the middle of the overlap."""
+    found = {}
+    for a0, a1, p in one:
+        for b0, b1, q in two:
+            low, high = max(a0, b0), min(a1, b1)
+            if high - low > least:
+                found.setdefault((p, q), (low + high) / 2)
+    return [(p, q, middle) for (p, q), middle in sorted(found.items())]
 
 
 def _lips(mesh, segments, polygons, part_of):

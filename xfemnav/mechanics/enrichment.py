@@ -15,11 +15,12 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import connected_components
 
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.partition import REACH
 from xfemnav.geometry.subcells import Subcells
+from xfemnav.mechanics.angles import adjacency, centroids, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_functions, polar
 
 STANDARD, HEAVISIDE, BRANCH = 0, 1, 2
@@ -89,49 +90,62 @@ class Enrichment:
         return np.unique(self.node[self.kind >= BRANCH])
 
 
-def enrich(mesh: Mesh, subcells: Subcells, tip_enrichment: str = "topological") -> Enrichment:
-    """Find the pieces of every node's support and the nodes that hold a tip.
+def enrich(
+    mesh: Mesh, subcells: Subcells, tip_enrichment: str = "topological", tip_radius_mm: float | None = None
+) -> Enrichment:
+    """Find the pieces of every node's support and the nodes that carry branch functions.
 
-    tip_enrichment: 'topological' (the paper's: nodes whose support holds the tip) or 'none'.
+    tip_enrichment: 'topological' (the paper's: nodes whose support holds the tip), 'none', or 'geometric': every node
+    within `tip_radius_mm` of the tip (default `default_radius`), with the blending ramp of the corrected XFEM (Fries
+    2008): R is the sum of the nodal shape functions of those nodes, and all nodes of their cells carry
+    N_i R (F_l - F_l(x_i)).
     """
-    n_nodes = len(mesh.points)
-    dof, node, pieces_of = _pieces(mesh, subcells)
-    kind = np.where(np.arange(len(node)) < n_nodes, STANDARD, HEAVISIDE)
-    body = _bodies(subcells)
-    tables, first = [], len(node)
-    if tip_enrichment != "none":
-        adjacency = _adjacency(subcells)
-        centroids = _centroids(subcells)
+    dof, node = _pieces(mesh, subcells)
+    kind = np.where(np.arange(len(node)) < len(mesh.points), STANDARD, HEAVISIDE)
+    rows, entries, first = [], [], len(node)
+    if tip_enrichment != "none" and len(subcells.tips):
+        near, middle = adjacency(subcells), centroids(subcells)
         for tip in range(len(subcells.tips)):
-            for table in _tip_entries(mesh, subcells, dof, pieces_of, adjacency, centroids, tip):
-                tables.append((tip, first, *table))
+            if tip_enrichment == "geometric":
+                radius = tip_radius_mm if tip_radius_mm is not None else default_radius(mesh, subcells, tip)
+                table = _within_radius(mesh, subcells, dof, near, middle, tip, radius)
+            else:
+                table = _at_tip(mesh, subcells, dof, near, middle, tip)
+            for i, shift, parts, local, angle, ramp in table:
+                rows.append((i, tip, shift))
+                entries.append((parts, local, np.full(len(parts), first), angle, ramp))
                 first += 4
-    branch_node = np.array([t[2] for t in tables], dtype=int)
-    shift = np.array([t[3] for t in tables]).reshape(-1, 4)
-    parts = [t[4] for t in tables]
-    lengths = [len(p) for p in parts]
-    entry_part = np.concatenate(parts) if parts else np.empty(0, int)
-    order = np.argsort(entry_part, kind="stable")
-    entry_node = np.concatenate([t[5] for t in tables]) if parts else np.empty(0, int)
-    entry_angle = np.concatenate([t[6] for t in tables]) if parts else np.empty(0)
-    entry_row = np.repeat([t[1] for t in tables], lengths).astype(int)
+    part, local, row, angle, ramp = (
+        [np.concatenate(column) for column in zip(*entries)]
+        if entries
+        else (np.empty(0, int), np.empty(0, int), np.empty(0, int), np.empty(0), np.empty((0, 3)))
+    )
+    order = np.argsort(part, kind="stable")
     return Enrichment(
-        node=np.concatenate([node, np.repeat(branch_node, 4)]),
-        kind=np.concatenate([kind, np.tile(BRANCH + np.arange(4), len(tables))]),
-        tip=np.concatenate([np.full(len(node), -1), np.repeat([t[0] for t in tables], 4)]),
-        shift=np.concatenate([np.zeros(len(node)), shift.ravel()]),
+        node=np.concatenate([node, np.repeat([r[0] for r in rows], 4).astype(int)]),
+        kind=np.concatenate([kind, np.tile(BRANCH + np.arange(4), len(rows))]),
+        tip=np.concatenate([np.full(len(node), -1), np.repeat([r[1] for r in rows], 4).astype(int)]),
+        shift=np.concatenate([np.zeros(len(node)), *(r[2] for r in rows)]),
         dof=dof,
-        entry_part=entry_part[order],
-        entry_node=entry_node[order],
-        entry_row=entry_row[order],
-        entry_angle=entry_angle[order],
-        entry_ramp=np.ones((len(order), 3)),
-        body=body,
+        entry_part=part[order],
+        entry_node=local[order],
+        entry_row=row[order],
+        entry_angle=angle[order],
+        entry_ramp=ramp[order],
+        body=_bodies(subcells),
     )
 
 
+def default_radius(mesh: Mesh, subcells: Subcells, tip: int) -> float:
+    """Radius mm of geometric enrichment: a fifth of the cut, but no less than two elements."""
+    path = subcells.paths[subcells.tip_cut[tip]]
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+    h = mesh.sizes[subcells.part_cell[touched_parts(subcells, tip)]].mean()
+    return float(max(length / 5, 2 * h))
+
+
 def _pieces(mesh, subcells):
-    """Rows of the functions N_i 1_piece: dof (p, 3), node (n,), and (part, local) -> row through `dof`."""
+    """Rows of the functions N_i 1_piece: dof (p, 3) and the node (n,) of each."""
     cells = mesh.cells[subcells.part_cell]
     p, q, i, k = subcells.joins.T
     across = i >= 0
@@ -156,7 +170,7 @@ def _pieces(mesh, subcells):
     row[rank[head]] = node_of[rank[head]]
     row[rank[~head]] = len(mesh.points) + np.arange((~head).sum())
     node = np.concatenate([np.arange(len(mesh.points)), node_of[rank[~head]]])
-    return row[label].reshape(-1, 3), node, row
+    return row[label].reshape(-1, 3), node
 
 
 def _local(cells, parts, nodes):
@@ -173,47 +187,55 @@ def _held(mesh, subcells, cells):
 
 
 def _bodies(subcells):
-    _, body = connected_components(_adjacency(subcells), directed=False)
+    _, body = connected_components(adjacency(subcells), directed=False)
     return body
 
 
-def _adjacency(subcells):
-    p, q = subcells.joins[:, 0], subcells.joins[:, 1]
-    n = subcells.n_parts
-    return coo_array((np.ones(len(p)), (p, q)), (n, n)).tocsr()
-
-
-def _centroids(subcells):
-    weight = np.bincount(subcells.part, subcells.areas, subcells.n_parts)
-    middle = subcells.corners.mean(axis=1) * subcells.areas[:, None]
-    return (
-        np.stack([np.bincount(subcells.part, middle[:, i], subcells.n_parts) for i in (0, 1)], axis=1) / weight[:, None]
-    )
-
-
-def _tip_entries(mesh, subcells, dof, pieces_of, adjacency, centroids, tip):
-    """For each node of set K: (node, F_l(x_i), parts, local nodes, unwrapped angles of the parts)."""
-    x, travel = subcells.tips[tip], subcells.tip_travel[tip]
-    touched = subcells.tip_touch[subcells.tip_touch[:, 0] == tip, 1]
-    nodes = _nodes_about(mesh, subcells.part_cell[touched], x)
+def _at_tip(mesh, subcells, dof, near, middle, tip):
+    """For each node of the paper's set K: node, F_l(x_i), parts, local nodes, unwrapped angles, ramp (none)."""
+    touched = touched_parts(subcells, tip)
+    nodes = _nodes_about(mesh, subcells.part_cell[touched], subcells.tips[tip])
     nodes = [i for i in nodes if not _holds_other_end(mesh, subcells, tip, i)]
     cells = mesh.cells[subcells.part_cell]
-    pieces = {}
-    for p in touched:
-        for a in range(3):
-            if cells[p, a] in nodes:
-                pieces.setdefault(int(cells[p, a]), int(dof[p, a]))
-    inside = np.isin(dof, list(pieces.values())).any(axis=1)
-    angle = _unwrap(adjacency, centroids, touched, inside, x, travel)
-    tables = []
+    # The functions live on the piece that the tip touches.
+    pieces = {int(cells[p, a]): int(dof[p, a]) for p in touched for a in range(3) if cells[p, a] in nodes}
+    angle = unwrap(subcells, near, middle, tip, np.isin(dof, list(pieces.values())).any(axis=1))
     for i, row in sorted(pieces.items()):
         parts, local = np.nonzero(dof == row)
-        reached = np.isfinite(angle[parts])
-        parts, local = parts[reached], local[reached]
-        holder = parts[np.argmin(np.linalg.norm(centroids[parts] - mesh.points[i], axis=1))]
-        r, theta = polar(mesh.points[[i]], x[None], travel[None], angle[[holder]])
-        tables.append((i, branch_functions(r, theta)[0], parts, local, angle[parts]))
-    return tables
+        parts, local = _reached(parts, local, angle)
+        shift = _shift(mesh, subcells, middle, angle, tip, i, parts)
+        yield i, shift, parts, local, angle[parts], np.ones((len(parts), 3))
+
+
+def _within_radius(mesh, subcells, dof, near, middle, tip, radius):
+    """The same for every node within `radius` mm of the tip and, under the ramp, the other nodes of their cells."""
+    inner = np.linalg.norm(mesh.points - subcells.tips[tip], axis=1) < radius
+    inner[_nodes_about(mesh, subcells.part_cell[touched_parts(subcells, tip)], subcells.tips[tip])] = True
+    inner[[i for i in np.flatnonzero(inner) if _holds_other_end(mesh, subcells, tip, i)]] = False
+    cells = mesh.cells[subcells.part_cell]
+    inside = inner[cells].any(axis=1)
+    angle = unwrap(subcells, near, middle, tip, inside)
+    parts, local = np.nonzero(np.repeat((inside & np.isfinite(angle))[:, None], 3, axis=1))
+    order = np.argsort(cells[parts, local], kind="stable")
+    parts, local = parts[order], local[order]
+    nodes, start = np.unique(cells[parts, local], return_index=True)
+    for i, own_parts, own_local in zip(nodes, np.split(parts, start[1:]), np.split(local, start[1:])):
+        standard = own_parts[dof[own_parts, own_local] == i]
+        shift = _shift(mesh, subcells, middle, angle, tip, i, standard if len(standard) else own_parts)
+        yield int(i), shift, own_parts, own_local, angle[own_parts], inner[cells[own_parts]].astype(float)
+
+
+def _reached(parts, local, angle):
+    reached = np.isfinite(angle[parts])
+    return parts[reached], local[reached]
+
+
+def _shift(mesh, subcells, middle, angle, tip, node, parts):
+    """F_l (4,) at the node, on the lip of the nearest of the parts."""
+    x = mesh.points[[node]]
+    holder = parts[np.argmin(np.linalg.norm(middle[parts] - x, axis=1))]
+    r, theta = polar(x, subcells.tips[[tip]], subcells.tip_travel[[tip]], angle[[holder]])
+    return branch_functions(r, theta)[0]
 
 
 def _nodes_about(mesh, cells, x):
@@ -233,24 +255,3 @@ def _holds_other_end(mesh, subcells, tip, node):
         if node in _nodes_about(mesh, subcells.part_cell[touched], subcells.tips[other]):
             return True
     return False
-
-
-def _unwrap(adjacency, centroids, start, inside, x, travel):
-    """Angle (p,) of each part about the tip, continuous except across the cut; NaN where not reached."""
-    raw = np.arctan2(travel[0] * (centroids - x)[:, 1] - travel[1] * (centroids - x)[:, 0], (centroids - x) @ travel)
-    angle = np.full(len(centroids), np.nan)
-    angle[start] = raw[start]
-    some = np.flatnonzero(inside)
-    index = np.full(len(centroids), -1)
-    index[some] = np.arange(len(some))
-    near = adjacency[some][:, some]
-    near = near + near.T
-    for s in start:
-        if index[s] < 0:
-            continue
-        order, before = breadth_first_order(near, index[s], directed=False)
-        for k in order[1:]:
-            p, q = some[k], some[before[k]]
-            if np.isnan(angle[p]):
-                angle[p] = angle[q] + np.mod(raw[p] - angle[q] + np.pi, 2 * np.pi) - np.pi
-    return angle

@@ -17,7 +17,7 @@ from xfemnav.mechanics.outline import Skull, skull_conditions
 from xfemnav.mechanics.space import Space
 
 LIP_CONSTRAINTS = ("mortar", "pointwise")
-TIP_ENRICHMENTS = ("topological", "none")
+TIP_ENRICHMENTS = ("topological", "geometric", "none")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +37,7 @@ class Problem:
     springs: csr_array
     load: np.ndarray
     removed: np.ndarray
+    tip_enrichment: str
     lip_constraint: str
 
     def __post_init__(self):
@@ -70,6 +71,7 @@ def pose(
     *,
     boundary_displacement=None,
     tip_enrichment: str = "topological",
+    tip_radius_mm: float | None = None,
     lip_constraint: str = "mortar",
     hold_tip: bool = False,
 ) -> Problem:
@@ -80,21 +82,21 @@ def pose(
     mesh : the organ; cuts : inside it, from `place_cut`.
     retractions : what holds or pulls the lips; a cut without any is legal.
     boundary_displacement : (k, 4 or 5) x, y, ux, uy mm [, side]: measured motion of the outline.
-    tip_enrichment : 'topological' (Eq. 4) or 'none'.
+    tip_enrichment : 'topological' (Eq. 4), 'geometric' (all nodes within `tip_radius_mm`) or 'none'.
     lip_constraint : 'mortar' (stable) or 'pointwise' (Eqs. 5 and 6); `hold_tip` holds the tip cell's crossings too.
 
     Raises
     ------
     XfemnavError
         E306 a piece that nothing holds, E402 a blade off its cut, E403 two blades on one lip, E405 lips pushed into
-        each         other, E406 nothing holds the organ, E408 measured points off the outline.
+        each other, E406 nothing holds the organ, E408 measured points off the outline.
     """
     if lip_constraint not in LIP_CONSTRAINTS:
         raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
     if tip_enrichment not in TIP_ENRICHMENTS:
         raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
     subcells = embed(mesh, cuts)
-    space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment))
+    space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
     _warn_of_lost_cuts(space, cuts)
     n_dof = space.enrichment.n_dof
     spans = _spans(space, cuts, retractions, lip_constraint)
@@ -125,6 +127,7 @@ def pose(
         springs,
         load,
         removed,
+        tip_enrichment,
         lip_constraint,
     )
 

@@ -1,8 +1,9 @@
 """Solve the problem and read the answer: displacements, moved triangles, strains, retractor forces."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csc_array, csr_array, eye_array
 from scipy.sparse.linalg import splu
 
 from xfemnav.errors import XfemnavError
@@ -12,6 +13,7 @@ from xfemnav.mechanics.elasticity import stiffness
 from xfemnav.mechanics.fan import graded_triangles
 from xfemnav.mechanics.lips import lip_quadrature
 from xfemnav.mechanics.problem import Problem
+from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
 
 #: Largest relative residual of a solution that is given out.
 RESIDUAL_LIMIT = 1e-8
@@ -91,25 +93,25 @@ def solve(problem: Problem) -> Solution:
     The conditions are eliminated exactly (U = U0 + T q), the reduced system is symmetric positive definite, factored
     once and refined once. Raises XfemnavError E407 when the residual stays above 1e-8.
     """
-    K = stiffness(problem.space, problem.material) + problem.springs.tocsc()
-    U0, T = eliminate(problem.constraints)
-    reduced = (T.T @ K @ T).tocsc()
-    right = T.T @ (problem.load - K @ U0)
-    # Rows scaled to a unit diagonal: slivers make it span many orders of magnitude.
-    scale = 1 / np.sqrt(reduced.diagonal())
-    scaled = reduced.multiply(scale[:, None]).multiply(scale[None, :]).tocsc()
-    lu = splu(scaled, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    y = lu.solve(scale * right)
-    y = y + lu.solve(scale * right - scaled @ y)
-    size = np.linalg.norm(scale * right) + np.linalg.norm(scale * (T.T @ problem.load))
-    residual = float(np.linalg.norm(scale * right - scaled @ y) / size) if size else 0.0
+    K = (stiffness(problem.space, problem.material) + problem.springs).tocsc()
+    basis = scaled_basis(problem, K)
+    constraints = problem.constraints
+    U0, T = eliminate(replace(constraints, C=constraints.C @ basis))
+    U0, T = basis @ U0, (basis @ T).tocsc()
+    A = (T.T @ K @ T).tocsc()
+    b = T.T @ (problem.load - K @ U0)
+    lu = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    q = lu.solve(b)
+    q = q + lu.solve(b - A @ q)
+    size = np.linalg.norm(b) + np.linalg.norm(T.T @ problem.load)
+    residual = float(np.linalg.norm(b - A @ q) / size) if size else 0.0
     if not residual <= RESIDUAL_LIMIT:
         raise XfemnavError(
             "E407",
             f"the linear system was not solved: relative residual {residual:.1e} is above {RESIDUAL_LIMIT:.0e}; "
             "this is a bug, please report it with the run's parameters.",
         )
-    U = U0 + T @ (scale * y)
+    U = U0 + T @ q
     reaction = K @ U - problem.load
     energy = float(U @ (K @ U) / 2)
     U = U.reshape(-1, 2)
@@ -121,6 +123,15 @@ def solve(problem: Problem) -> Solution:
         retractor=_forces(problem, reaction),
         **_lip_error(problem, U),
     )
+
+
+def scaled_basis(problem: Problem, K) -> csr_array:
+    """Basis (n_dof, n) in which the problem is solved: vector tip functions if geometric, each node's block scaled."""
+    if problem.tip_enrichment == "geometric":
+        T = vector_tip_basis(problem.space, problem.material)
+    else:
+        T = eye_array(K.shape[0], format="csc")
+    return csr_array(T @ node_blocks(csc_array(T.T @ K @ T), owners(problem.enrichment, T)))
 
 
 def _triangles(problem, U):

@@ -1,0 +1,124 @@
+"""Stress intensity factors K_I, K_II of a free tip by the interaction integral in its domain form.
+
+I = - integral over A of P_j dq/dx_j + integral over the lips of P_j m_j q, with
+P_j = W delta_1j - s_ij u'_i,1 - s'_ij u_i,1: the primed field is the leading term of one mode with unit intensity, W
+the mutual energy, q falls smoothly from 1 to 0 with the distance from the tip, m points out of the tissue. On straight,
+free lips the second integral is zero; it counts on kinked and curved cuts. (Moran & Shih 1987; Moes et al. 1999.)
+"""
+
+import numpy as np
+
+from xfemnav.geometry.mesh import orient
+from xfemnav.mechanics.angles import adjacency, centroids, unwrap
+from xfemnav.mechanics.branch import branch_gradients, polar
+from xfemnav.mechanics.elasticity import Material, strain_matrices
+from xfemnav.mechanics.lips import LEFT, RIGHT, lip_quadrature
+from xfemnav.mechanics.quadrature import collapsed_rule
+from xfemnav.mechanics.reduction import mode_combinations, tip_frame
+from xfemnav.mechanics.space import Space
+
+#: q is 1 within this fraction of the domain's radius.
+PLATEAU = 0.3
+
+
+def stress_intensity(space: Space, material: Material, U, tip: int, radius_mm: float) -> tuple[float, float]:
+    """(K_I, K_II) kPa mm^.5 of a tip whose lips are free within `radius_mm`.
+
+    U (n_rows, 2) mm: the coefficients of the solution. The disc must hold no other tip, no held part of a lip and no
+    outline but the lips themselves. 1 kPa mm^.5 = 31.6 Pa m^.5.
+    """
+    sub = space.subcells
+    x, frame = sub.tips[tip], tip_frame(sub.tip_travel[tip])
+    part_near = np.linalg.norm(sub.corners - x, axis=2).min(axis=1) < radius_mm
+    inside = np.zeros(sub.n_parts, dtype=bool)
+    inside[sub.part[part_near]] = True
+    angle = unwrap(sub, adjacency(sub), centroids(sub), tip, inside)
+    reached = part_near & np.isfinite(angle[sub.part])
+    points, weights, owner = _domain_rule(sub.corners[reached], x, radius_mm)
+    parts = sub.part[reached][owner]
+    P = _flux(space, material, np.asarray(U), points, parts, tip, angle[parts], frame)
+    offset = (points - x) @ frame.T
+    r = np.hypot(*offset.T)
+    _, slope = _weight(r / radius_mm)
+    dq = (slope / radius_mm / r)[:, None] * offset
+    integral = -np.einsum("q,mqj,qj->m", weights, P, dq)
+    integral += _lip_integral(space, material, np.asarray(U), tip, angle, frame, radius_mm)
+    modulus = material.young_kpa
+    if material.stress_state == "strain":
+        modulus /= 1 - material.poisson**2
+    K_I, K_II = integral * modulus / 2
+    return float(K_I), float(K_II)
+
+
+def _weight(s):
+    """q and dq/ds of the distance s from the tip in units of the domain's radius: a quintic step."""
+    t = np.clip((s - PLATEAU) / (1 - PLATEAU), 0, 1)
+    return 1 - t**3 * (10 - 15 * t + 6 * t**2), -30 * t**2 * (1 - t) ** 2 / (1 - PLATEAU)
+
+
+def _domain_rule(corners, x, radius):
+    """Quadrature (points, weights, triangle) where q varies: triangles small against the annulus's width."""
+    owner = np.arange(len(corners))
+    while True:
+        size = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2).max(axis=1)
+        large = size > 0.25 * radius
+        if not large.any():
+            break
+        a, b, c = corners[large].swapaxes(0, 1)
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        quarters = [np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+        corners = np.concatenate([corners[~large], *quarters])
+        owner = np.concatenate([owner[~large], np.tile(owner[large], 4)])
+    distance = np.linalg.norm(corners - x, axis=2)
+    varying = (distance.max(axis=1) > PLATEAU * radius) & (orient(*corners.swapaxes(0, 1)) > 0)
+    points, weights = collapsed_rule(corners[varying], 4)
+    return points.reshape(-1, 2), weights.ravel(), np.repeat(owner[varying], weights.shape[1])
+
+
+def _flux(space, material, U, points, parts, tip, reference, frame, real_traction=True):
+    """P_j (2 modes, q, 2) in the tip's frame, of the solution with the unit field of each mode."""
+    D = material.stiffness
+    strain = np.stack([e @ U.ravel() for e in strain_matrices(space, points, parts)], axis=1)
+    stress = _tensor(strain @ D.T, frame)
+    gx, gy = (g @ U for g in space.gradient_in(points, parts))
+    gradient = np.einsum("ai,qij,bj->qab", frame, np.stack([gx, gy], axis=2), frame)
+    tips = np.broadcast_to(space.subcells.tips[tip], points.shape)
+    r, theta = polar(points, tips, np.broadcast_to(frame[0], points.shape), reference)
+    scale = 1 / (2 * material.shear_modulus * np.sqrt(2 * np.pi))
+    unit = scale * np.einsum("mli,qlj->mqij", mode_combinations(material.kappa), branch_gradients(r, theta))
+    unit_strain = np.stack([unit[..., 0, 0], unit[..., 1, 1], unit[..., 0, 1] + unit[..., 1, 0]], axis=-1)
+    s = unit_strain @ D.T
+    unit_stress = np.stack([np.stack([s[..., 0], s[..., 2]], -1), np.stack([s[..., 2], s[..., 1]], -1)], -2)
+    P = -np.einsum("mqij,qi->mqj", unit_stress, gradient[:, :, 0])
+    if real_traction:
+        P -= np.einsum("qij,mqi->mqj", stress, unit[..., 0])
+    P[..., 0] += np.einsum("qij,mqij->mq", stress, unit)
+    return P
+
+
+def _tensor(s, frame):
+    """Stress tensors (q, 2, 2) in the tip's frame from components (q, 3) xx, yy, xy in the plane's."""
+    tensor = np.stack([np.stack([s[:, 0], s[:, 2]], -1), np.stack([s[:, 2], s[:, 1]], -1)], -2)
+    return np.einsum("ai,qij,bj->qab", frame, tensor, frame)
+
+
+def _lip_integral(space, material, U, tip, angle, frame, radius):
+    """Integral of P_j m_j q over both lips; the traction of the solution is zero there and left out."""
+    sub = space.subcells
+    cut = sub.tip_cut[tip]
+    total = np.zeros(2)
+    near = (sub.lip_cut == cut) & (np.linalg.norm(sub.lip_ends - sub.tips[tip], axis=2).min(axis=1) < radius)
+    span = sub.lip_arc[near].min(), sub.lip_arc[near].max()
+    for side in (LEFT, RIGHT):
+        q = lip_quadrature(space, cut, side, span, n=6)
+        outward = -side * q.normals @ frame.T
+        weight, _ = _weight(np.linalg.norm(q.points - sub.tips[tip], axis=1) / radius)
+        # Where the lip lies on the tip's own line both terms vanish.
+        off_line = np.abs((q.points - sub.tips[tip]) @ frame[1]) > 1e-9 * radius
+        keep = off_line & (weight > 0) & np.isfinite(angle[q.parts])
+        if keep.any():
+            P = _flux(
+                space, material, U, q.points[keep], q.parts[keep], tip, angle[q.parts[keep]], frame, real_traction=False
+            )
+            total += np.einsum("q,mqj,qj->m", (q.weights * weight)[keep], P, outward[keep])
+    return total

@@ -1,0 +1,89 @@
+"""Changes of basis U = T q that keep the system small and well conditioned.
+
+With geometric enrichment the four functions of Eq. (3) at every node, for both components, are nearly dependent: two
+*vector* functions a node, the leading displacement fields of mode I and mode II, span what matters. Then each node's
+own block of K is scaled by its inverse square root, which gives the conditioning of plain finite elements.
+"""
+
+import numpy as np
+from scipy.sparse import csc_array, csr_array
+
+from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.enrichment import BRANCH, Enrichment
+from xfemnav.mechanics.space import Space
+
+#: Directions of a node's block that are weaker than this, relative to its strongest, follow from the others.
+RANK = 1e-10
+
+
+def mode_combinations(kappa: float) -> np.ndarray:
+    """M (2 modes, 4 functions, 2 components), tip frame: mode m displaces in proportion to sum_l M_ml F_l."""
+    M = np.zeros((2, 4, 2))
+    M[0, 1, 0], M[0, 2, 0], M[0, 0, 1], M[0, 3, 1] = kappa - 1, 1, kappa + 1, -1
+    M[1, 0, 0], M[1, 3, 0], M[1, 1, 1], M[1, 2, 1] = kappa + 1, 1, 1 - kappa, 1
+    return M
+
+
+def tip_frame(travel) -> np.ndarray:
+    """Rows (2, 2): the tip's own axes, along the cut's travel and to its left."""
+    return np.array([travel, [-travel[1], travel[0]]])
+
+
+def vector_tip_basis(space: Space, material: Material) -> csc_array:
+    """T (n_dof, n): the identity, but two columns (mode I, mode II) for the eight branch DOFs of each node and tip."""
+    table = space.enrichment
+    first = np.flatnonzero(table.kind == BRANCH)
+    n_plain = 2 * int((table.kind < BRANCH).sum())
+    modes = mode_combinations(material.kappa)
+    frames = np.array([tip_frame(travel) for travel in space.subcells.tip_travel]).reshape(-1, 2, 2)
+    blocks = np.einsum("mlj,fji->flim", modes, frames[table.tip[first]])
+    rows = 2 * (first[:, None] + np.arange(4))[:, :, None, None] + np.arange(2)[:, None]
+    columns = n_plain + 2 * np.arange(len(first))[:, None, None, None] + np.arange(2)
+    rows, columns = np.broadcast_arrays(rows, columns)
+    data = np.concatenate([np.ones(n_plain), blocks.ravel()])
+    at = (np.concatenate([np.arange(n_plain), rows.ravel()]), np.concatenate([np.arange(n_plain), columns.ravel()]))
+    return csc_array((data, at), (table.n_dof, n_plain + 2 * len(first)))
+
+
+def owners(table: Enrichment, T: csc_array) -> np.ndarray:
+    """Node (n,) that each column of T belongs to."""
+    T = T.tocsc()
+    return table.node[T.indices[T.indptr[:-1]] // 2]
+
+
+def node_blocks(K: csc_array, owner) -> csr_array:
+    """P (n, m) with P'KP = 1 on every node's own block; directions without stiffness of their own are left out.
+
+    K (n, n) symmetric; owner (n,) the node of each unknown. Unknowns that are alone at their node are only scaled.
+    """
+    coo = K.tocoo()
+    same = owner[coo.row] == owner[coo.col]
+    order = np.argsort(owner, kind="stable")
+    _, start, count = np.unique(owner[order], return_index=True, return_counts=True)
+    block = np.empty(len(owner), dtype=int)
+    place = np.empty(len(owner), dtype=int)
+    block[order] = np.repeat(np.arange(len(start)), count)
+    place[order] = np.arange(len(owner)) - np.repeat(start, count)
+    rows, columns, data, n_columns = [], [], [], 0
+    for size in np.unique(count):
+        chosen = np.flatnonzero(count == size)
+        index = np.full(len(count), -1)
+        index[chosen] = np.arange(len(chosen))
+        own = same & (index[block[coo.row]] >= 0)
+        dense = np.zeros((len(chosen), size, size))
+        np.add.at(dense, (index[block[coo.row[own]]], place[coo.row[own]], place[coo.col[own]]), coo.data[own])
+        # Slivers differ from whole pieces by many orders of magnitude: compare directions at unit diagonal.
+        jacobi = 1 / np.sqrt(np.einsum("bii->bi", dense))
+        values, vectors = np.linalg.eigh(dense * jacobi[:, :, None] * jacobi[:, None, :])
+        strong = values > RANK * values[:, -1:]
+        inverse_root = np.where(strong, 1 / np.sqrt(np.where(strong, values, 1.0)), 0.0)
+        P = jacobi[:, :, None] * vectors * inverse_root[:, None, :]
+        unknown = order[start[chosen][:, None] + np.arange(size)]
+        column = n_columns + np.cumsum(strong.ravel()).reshape(strong.shape) - 1
+        keep = np.broadcast_to(strong[:, None, :], P.shape)
+        rows.append(np.broadcast_to(unknown[:, :, None], P.shape)[keep])
+        columns.append(np.broadcast_to(column[:, None, :], P.shape)[keep])
+        data.append(P[keep])
+        n_columns += int(strong.sum())
+    at = (np.concatenate(rows), np.concatenate(columns))
+    return csr_array((np.concatenate(data), at), (len(owner), n_columns))
