@@ -1,7 +1,6 @@
 """Public files: meshes as VTU through meshio, images as NIfTI. The only caller of meshio, which is unmaintained."""
 
 import gzip
-import json
 import zlib
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
@@ -17,16 +16,6 @@ SAME_MM = 1e-6  # corners of neighbouring triangles closer than this, at rest an
 def write_nifti(path: Path, image) -> None:
     """Write a nibabel image as .nii.gz without the time of day, so that equal images are equal files."""
     path.write_bytes(gzip.compress(image.to_bytes(), compresslevel=6, mtime=0))
-
-
-def write_json(path: Path, value: dict) -> None:
-    """Write a sidecar or record: sorted names, readable, the same bytes for the same value."""
-    path.write_text(json_text(value))
-
-
-def json_text(value: dict) -> str:
-    """JSON text as in our public files."""
-    return json.dumps(value, indent=2, sort_keys=True, allow_nan=False) + "\n"
 
 
 def write_vtu(path: Path, points, cells, point_data: dict | None = None, cell_data: dict | None = None) -> None:

@@ -50,12 +50,11 @@ PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.fil
 
 def add_flags(raw: dict, flags: dict) -> list[str]:
     """Put the `flags` (by name, without dashes) into `raw`, in place; the problems found, one line each."""
-    given = {name: value for name, value in flags.items() if value is not None and value != ()}
+    given = {name: value for name, value in flags.items() if value is not None and not _is_empty(value)}
     found = [f"{name}: unknown option" for name in sorted(set(given) - set(FLAGS) - set(CUT_FLAGS))]
     for name, place in FLAGS.items():
         if name in given:
-            spacing = name == "spacing" and isinstance(given[name], str)
-            _put(raw, place, numbers(given[name]) if spacing else given[name])
+            _put(raw, place, _plain(place, given[name]))
     _add_cuts(raw, given, found)
     _add_lips(raw, given, found)
     return found
@@ -82,11 +81,11 @@ def confined(raw: dict, folder: Path) -> dict[str, Path]:
 
 def _add_cuts(raw: dict, given: dict, found: list[str]) -> None:
     """--cut, repeated, takes the place of the scenario's cuts and of what held their lips."""
-    texts = given.get("cut", ())
-    if isinstance(texts, str):
-        texts = (texts,)
-    if texts:
-        points = [_points(text, found) for text in texts]
+    cuts = given.get("cut", ())
+    if isinstance(cuts, str) or (len(cuts) and _is_point(cuts[0])):
+        cuts = (cuts,)
+    if len(cuts):
+        points = [_points(cut, found) for cut in cuts]
         names = ["cut"] if len(points) == 1 else [f"cut {i + 1}" for i in range(len(points))]
         raw["cut"] = [{"name": name, "points": path} for name, path in zip(names, points)]
         raw.pop("retract", None)
@@ -124,6 +123,23 @@ def tables(raw: dict, name: str) -> list[dict]:
     """The tables of the array `name` of a raw scenario; what is no table is left to the schema."""
     items = raw.get(name, ())
     return [item for item in items if isinstance(item, dict)] if isinstance(items, list | tuple) else []
+
+
+def _plain(place: str, value):
+    """A flag's value as TOML would give it."""
+    if place in PATHS:
+        return str(value)
+    if place == "spacing" and isinstance(value, str):
+        return numbers(value) or value
+    return value
+
+
+def _is_empty(value) -> bool:
+    return isinstance(value, tuple) and not value
+
+
+def _is_point(value) -> bool:
+    return not isinstance(value, str) and len(value) > 0 and not hasattr(value[0], "__len__")
 
 
 def _points(text, found: list[str]) -> list:

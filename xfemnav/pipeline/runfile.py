@@ -12,7 +12,6 @@ from pathlib import Path
 
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.disk import remove_temporaries, write_atomic, writing
-from xfemnav.pipeline.files import json_text
 from xfemnav.pipeline.keys import file_digest
 from xfemnav.pipeline.locks import locked
 
@@ -39,6 +38,11 @@ SIDECARS = {
 }
 
 
+def json_text(value: dict) -> str:
+    """JSON text of a public file: readable, and the same for the same value."""
+    return json.dumps(value, indent=2, sort_keys=True, allow_nan=False) + "\n"
+
+
 def stem(image: Path) -> str:
     """Name of an image without .nii or .nii.gz."""
     return re.sub(r"\.nii(\.gz)?$", "", image.name, flags=re.IGNORECASE)
@@ -55,6 +59,21 @@ def public_name(image: Path, role: str) -> str:
         base = re.sub(r"_desc-[A-Za-z0-9]+", "", base)
     parts = [base, description and f"desc-{description}", suffix or own]
     return "_".join(filter(None, parts)) + ending
+
+
+def read_record(folder: Path) -> dict:
+    """The record of the run in `folder`. Raises E100 when there is none and E701 when it is no record of ours."""
+    path = folder / RECORD
+    if not path.is_file():
+        raise XfemnavError("E100", f"no {RECORD} in {folder}. Give the output folder of a run.")
+    try:
+        record = json.loads(path.read_bytes())
+        known = record["schema"] == SCHEMA
+    except (ValueError, KeyError, TypeError):
+        known = False
+    if not known:
+        raise XfemnavError("E701", f"{path} is no {SCHEMA} record. Run the command again.")
+    return record
 
 
 def run_schema() -> dict:

@@ -241,6 +241,7 @@ def warp_publish(value, inputs, folder):
     import numpy as np
 
     from xfemnav.imaging.slices import to_nifti
+    from xfemnav.imaging.vectors import vector_nifti
     from xfemnav.pipeline.files import write_nifti
 
     slice, _ = inputs.value("segment")
@@ -248,21 +249,6 @@ def warp_publish(value, inputs, folder):
     write_nifti(folder / "cavity.nii.gz", to_nifti(slice, value.cavity, np.uint8))
     write_nifti(folder / "overlap.nii.gz", to_nifti(slice, value.overlap, np.uint8))
     write_nifti(folder / "field.nii.gz", vector_nifti(slice, value.field @ slice.axes[:2]))
-
-
-def vector_nifti(slice, vectors):
-    """`vectors` (n1, n2, 3) world RAS as a NIfTI vector image (intent 1007): shape (i, j, k, 1, 3), vectors in LPS."""
-    import nibabel
-    import numpy as np
-
-    from xfemnav.imaging.slices import to_nifti
-
-    # Intent 1007 is read as LPS by ITK, ANTs and 3D Slicer (1006 would be RAS, and SimpleITK cannot write that).
-    parts = [to_nifti(slice, sign * vectors[..., i], np.float32) for i, sign in enumerate((-1, -1, 1))]
-    data = np.stack([np.asarray(part.dataobj) for part in parts], axis=-1)[:, :, :, None, :]
-    image = nibabel.Nifti1Image(data, parts[0].affine, parts[0].header)
-    image.header.set_intent("vector")
-    return image
 
 
 # the picture and the page -------------------------------------------------------------------------------------------
