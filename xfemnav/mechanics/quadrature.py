@@ -9,6 +9,7 @@ from xfemnav.geometry.mesh import orient
 #: A triangle is subdivided until it is no larger than this times its distance to the nearest tip.
 NEAR = 1.0
 ANGLE = np.pi / 3  # largest angle of a triangle at a tip; wider ones are bisected
+LOPSIDED = 4.0  # largest ratio of its two edges at the tip; beyond, the radius varies too fast along the far edge
 
 
 @cache
@@ -73,7 +74,8 @@ def tip_rule(corners, tips, fine: bool = False) -> tuple[np.ndarray, np.ndarray,
         a, b, c = corners.swapaxes(0, 1)
         angle = np.arctan2(orient(a, b, c), np.einsum("ki,ki->k", b - a, c - a))
         ratio = diameter / np.maximum(_distance(corners, tips), 1e-300)
-        sharp = (n_tips == 1) & (angle <= ANGLE)
+        leg = np.linalg.norm(np.stack([b - a, c - a]), axis=2)
+        sharp = (n_tips == 1) & (angle <= ANGLE) & (leg.max(axis=0) <= LOPSIDED * leg.min(axis=0))
         emit(polar_rule, sharp, 6 + more, 10 + more)
         done = sharp.copy()
         for limit, n in ((0.1, 3), (0.3, 4), (NEAR, 6)):
