@@ -16,7 +16,7 @@ from matplotlib.patheffects import withStroke
 from xfemnav.pipeline.disk import write_atomic
 
 PANEL_IN, DPI = 4.1, 150     # width of a panel, and dots an inch
-INSET, ZOOM = 0.36, 4.0      # size of panel (e)'s inset as a part of the panel, and its magnification
+INSET, INSET_CELLS = 0.36, 6  # panel (e)'s inset: its size as a part of the panel, and how many cells it is wide
 MARGIN_MM = 10.0             # shown around the organ, and around the cuts in the close view
 CUT, HEAVISIDE, TIP, OVERLAP = "#ffd21f", "#0b62a8", "#d1410c", "#ff3030"
 SIDES = ("LR", "PA", "IS")   # letters at the negative and positive ends of the three RAS axes
@@ -97,31 +97,37 @@ def _updated(panel, slice, mask, update, grey):
 
 
 def _enrichment(panel, problem, box):
-    """The paper's Fig. 1 on this mesh: circles are set J, squares set K; an inset shows the first cut's tip."""
+    """The paper's Fig. 1 on this mesh: circles are set J, squares set K; fine meshes get an inset at the tip."""
     panel.set_title("(e) the cut and its enriched nodes")
-    _draw_enriched(panel, problem, PANEL_IN / (box[1, 0] - box[0, 0]))
+    h, width = _size_at_cuts(problem), box[1, 0] - box[0, 0]
+    _draw_enriched(panel, problem, h * PANEL_IN / width)
     for cut in problem.cuts:
         _name_lips(panel, cut, 24, "black", "white")
-    for cut in problem.cuts[:1]:
-        x, y = _emptiest_corner(box, cut.path)
-        inset = panel.inset_axes([x, y, INSET, INSET], xticks=[], yticks=[], zorder=6)
-        half = np.ptp(box, axis=0) * INSET / ZOOM / 2
-        _draw_enriched(inset, problem, ZOOM * PANEL_IN / (box[1, 0] - box[0, 0]))
-        inset.set(xlim=cut.path[-1, 0] + [-half[0], half[0]], ylim=cut.path[-1, 1] + [-half[1], half[1]])
+    zoom = INSET * width / (INSET_CELLS * h)
+    for cut in problem.cuts[:1] if zoom > 2 else ():
+        inset = panel.inset_axes([*_emptiest_corner(box, cut.path), INSET, INSET], xticks=[], yticks=[], zorder=6)
+        _draw_enriched(inset, problem, zoom * h * PANEL_IN / width)
+        low, high = cut.path[-1] + np.outer([-0.5, 0.5], INSET * np.ptp(box, axis=0) / zoom)
+        inset.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         panel.indicate_inset_zoom(inset, edgecolor="black")
     panel.legend(*panel.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, fontsize=8,
                  frameon=False, handletextpad=0.2, columnspacing=1.0)
 
 
-def _draw_enriched(panel, problem, inches_per_mm):
-    """Mesh, cut, and the nodes of J and K with marks of half an element, within what can be seen and told apart."""
+def _size_at_cuts(problem) -> float:
+    """Element size, mm, about the cuts: the median over the cells with enriched nodes."""
+    enriched = np.concatenate([problem.enrichment.heaviside_nodes, problem.enrichment.tip_nodes])
+    cells = np.isin(problem.mesh.cells, enriched).any(axis=1)
+    return float(np.median(problem.mesh.sizes[cells if cells.any() else slice(None)]))
+
+
+def _draw_enriched(panel, problem, cell_in):
+    """Mesh, cuts, and the nodes of J and K with marks of half a cell; a cell is `cell_in` inches wide on paper."""
     mesh, J, K = problem.mesh, problem.enrichment.heaviside_nodes, problem.enrichment.tip_nodes
     _draw_mesh(panel, mesh, "0.65", 0.5)
     for cut in problem.cuts:
         _draw_cut(panel, cut, "black", "white")
-    cells = np.isin(mesh.cells, np.concatenate([J, K])).any(axis=1)
-    h = np.median(mesh.sizes[cells]) if cells.any() else 1.0
-    style = dict(ls="none", mfc="none", ms=float(np.clip(0.5 * h * 72 * inches_per_mm, 2.5, 9.0)), mew=0.9, zorder=5)
+    style = dict(ls="none", mfc="none", ms=float(np.clip(0.5 * 72 * cell_in, 2.5, 9.0)), mew=0.9, zorder=5)
     panel.plot(*mesh.points[J].T, marker="o", mec=HEAVISIDE, label=f"set J: {len(J)} nodes, H (Eq. 2)", **style)
     panel.plot(*mesh.points[K].T, marker="s", mec=TIP, label=f"set K: {len(K)} nodes, $F_1$..$F_4$ (Eq. 3)", **style)
 
