@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -152,9 +153,8 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         )
         if dry_run:
             return _plan(job.plan(config, options), teller)
-        for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            signal.signal(signum, _interrupt)
-        record = job.run(config, options, job.Listener(teller.started, teller.finished, teller.waiting))
+        with _signals_raise():
+            record = job.run(config, options, job.Listener(teller.started, teller.finished, teller.waiting))
     except (XfemnavError, job.Interrupted) as error:
         teller.stop()
         if as_json:
@@ -173,12 +173,22 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
     return record["exit_code"]
 
 
-def _interrupt(signum, frame):
+@contextmanager
+def _signals_raise():
+    """Within the block, the first SIGINT, SIGTERM or SIGHUP raises Interrupted, and more of them are ignored."""
     from xfemnav.pipeline.job import Interrupted
 
-    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(each, signal.SIG_IGN)  # one is enough: cleaning up takes milliseconds
-    raise Interrupted(signum)
+    def interrupt(signum, frame):
+        for each in earlier:
+            signal.signal(each, signal.SIG_IGN)  # one is enough: cleaning up takes milliseconds
+        raise Interrupted(signum)
+
+    earlier = {signum: signal.signal(signum, interrupt) for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for signum, handler in earlier.items():
+            signal.signal(signum, handler)
 
 
 def _plan(rows, teller: Teller) -> int:
