@@ -15,6 +15,8 @@ from scipy.ndimage import map_coordinates
 # A pixel centre this near to an edge (pixels) lies on it: in the tissue, but in no triangle more than once. It is far
 # above the rounding of corners that neighbours compute each for itself, and far below what an image can show.
 ON_EDGE = 1e-6
+# Places this near to a pixel centre (pixels) are the centre: tissue that did not move keeps its values to the last bit.
+SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +41,11 @@ class PullBack:
         return self.triangle >= 0
 
     @cached_property
+    def overlap(self) -> np.ndarray:
+        """Pixels (n1, n2) with more than one piece of tissue in them."""
+        return self.count > 1
+
+    @cached_property
     def field(self) -> np.ndarray:
         """Resting place minus position, (n1, n2, 2) mm; 0 where there is no tissue."""
         first, second = (o + h * np.arange(n) for o, h, n in zip(self.origin, self.spacing, self.triangle.shape))
@@ -49,15 +56,24 @@ class PullBack:
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """An updated image: `updated` (n1, n2), `cavity` and `overlap` (n1, n2) bool, `field` (n1, n2, 2) mm of PullBack.
+    """An updated image: `updated` (n1, n2), its `cavity` (n1, n2) bool, and the `pull_back` that made it.
 
     `updated` is float32, or of the image's own type when its values were taken by nearest neighbour.
     """
 
     updated: np.ndarray
     cavity: np.ndarray
-    overlap: np.ndarray
-    field: np.ndarray
+    pull_back: PullBack
+
+    @property
+    def overlap(self) -> np.ndarray:
+        """Pixels (n1, n2) with more than one piece of tissue in them."""
+        return self.pull_back.overlap
+
+    @property
+    def field(self) -> np.ndarray:
+        """Resting place minus position, (n1, n2, 2) mm; 0 where there is no tissue."""
+        return self.pull_back.field
 
 
 def pull_back(rest, moved, origin, spacing, shape) -> PullBack:
@@ -103,9 +119,9 @@ def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "l
     kept = {"keep": values, "zero": np.zeros_like(values)}[outside]
     updated = kept.astype(values.dtype if interp == "nearest" else np.float32)
     cavity = organ & ~pull_back.tissue
-    updated[cavity] = fill
+    np.putmask(updated, cavity, fill)
     _sample_into(updated, values, origin, spacing, pull_back.resting, interp)
-    return Update(updated, cavity, pull_back.count > 1, pull_back.field)
+    return Update(updated, cavity, pull_back)
 
 
 def _sample_into(out, values, origin, spacing, points, interp) -> None:
@@ -125,29 +141,23 @@ def _sample_into(out, values, origin, spacing, points, interp) -> None:
 
 
 @njit(cache=True)
-def _cell(x, n):
-    """Pixel below coordinate `x` and the fraction beyond it, on an axis of `n` pixels.
-
-    Fractions of rounding's size are 0, so that tissue that did not move keeps its values to the last bit.
-    """
-    x = min(max(x, 0.0), n - 1.0)
-    low = int(x + 1e-9)
-    part = x - low
-    return low, (part if part > 1e-9 else 0.0)
-
-
-@njit(cache=True)
 def _linear(out, values, points, origin, spacing):
     n1, n2 = values.shape
+    flat = values.ravel()
     for k in range(len(points)):
         x, y = (points[k, 0] - origin[0]) / spacing[0], (points[k, 1] - origin[1]) / spacing[1]
-        if x == x:
-            i, s = _cell(x, n1)
-            j, t = _cell(y, n2)
-            i1, j1 = min(i + 1, n1 - 1), min(j + 1, n2 - 1)
-            below = values[i, j] + t * (values[i, j1] - values[i, j])
-            above = values[i1, j] + t * (values[i1, j1] - values[i1, j])
-            out[k] = below + s * (above - below)
+        if x != x:
+            continue
+        x = 0.0 if x < 0 else (n1 - 1.0 if x > n1 - 1 else x)
+        y = 0.0 if y < 0 else (n2 - 1.0 if y > n2 - 1 else y)
+        i, j = int(x + SAME), int(y + SAME)
+        s, t = x - i, y - j
+        s, t = (s if s > SAME else 0.0), (t if t > SAME else 0.0)
+        at = i * n2 + j
+        next_i, next_j = n2 if i < n1 - 1 else 0, 1 if j < n2 - 1 else 0
+        low = flat[at] + t * (flat[at + next_j] - flat[at])
+        high = flat[at + next_i] + t * (flat[at + next_i + next_j] - flat[at + next_i])
+        out[k] = low + s * (high - low)
 
 
 @njit(cache=True)
@@ -219,13 +229,14 @@ def _rasterise(rest, moved, n1, n2):
                     begin, inner_begin = max(begin, at - width), max(inner_begin, at + width)
                 else:
                     end, inner_end = min(end, at + width), min(inner_end, at - width)
+            start0 = r[0, 0] + A00 * (i - m[0, 0]) - A01 * m[0, 1]
+            start1 = r[0, 1] + A10 * (i - m[0, 0]) - A11 * m[0, 1]
             for j in range(int(np.ceil(begin)), int(np.floor(end)) + 1):
                 inside = inner_begin < j < inner_end
                 if triangle[i, j] < 0 or (inside and upright and count[i, j] == 0):
                     triangle[i, j] = c
-                    x, y = i - m[0, 0], j - m[0, 1]
-                    resting[i, j, 0] = r[0, 0] + A00 * x + A01 * y
-                    resting[i, j, 1] = r[0, 1] + A10 * x + A11 * y
+                    resting[i, j, 0] = start0 + A01 * j
+                    resting[i, j, 1] = start1 + A11 * j
                 if inside and upright:
                     count[i, j] += 1
                 elif inside:
