@@ -120,12 +120,17 @@ def _refuse_contradiction(mismatch, d):
         )
 
 
-def multipliers(constraints: Constraints, reaction, group: int) -> np.ndarray:
-    """Forces lambda (m_group,) of one group's conditions from the unbalanced nodal forces (n_dof,) = C' lambda."""
-    rows = np.flatnonzero(constraints.group == group)
-    C = constraints.C[rows].tocsr()
-    columns = np.unique(C.indices)
-    dense = C[:, columns].toarray()
+def multipliers(constraints: Constraints, reaction) -> np.ndarray:
+    """Forces lambda (m,) of the conditions on the lips from the unbalanced nodal forces (n_dof,) = C' lambda.
+
+    Conditions of the skull count only where they act on the same unknowns as a lip's; elsewhere their entry is 0.
+    """
+    C = constraints.C.tocsr()
+    columns = np.unique(C[np.flatnonzero(constraints.group != SKULL)].indices)
+    rows = np.flatnonzero(np.diff(C[:, columns].tocsr().indptr))
+    dense = C[rows][:, columns].toarray()
     scale = np.linalg.norm(dense, axis=1)
+    forces = np.zeros(C.shape[0])
     solution, *_ = np.linalg.lstsq((dense / scale[:, None]).T, reaction[columns], rcond=1e-12)
-    return solution / scale
+    forces[rows] = solution / scale
+    return forces

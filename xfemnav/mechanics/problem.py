@@ -13,10 +13,11 @@ from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
 from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, mortar_rows, pointwise_rows
+from xfemnav.mechanics.nitsche import nitsche_terms
 from xfemnav.mechanics.outline import Skull, skull_conditions
 from xfemnav.mechanics.space import Space
 
-LIP_CONSTRAINTS = ("mortar", "pointwise")
+LIP_CONSTRAINTS = ("mortar", "nitsche", "pointwise")
 TIP_ENRICHMENTS = ("topological", "geometric", "none")
 
 
@@ -24,7 +25,8 @@ TIP_ENRICHMENTS = ("topological", "geometric", "none")
 class Problem:
     """Minimise 1/2 U'(K + springs)U - load'U under C U = d.
 
-    spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts of loose crumbs, not in the result.
+    springs: the skull's ramp and the terms of Nitsche's condition, as stiffness; spans (r, 2) mm: the held part of each
+    retraction's lip; removed (p,): parts of loose crumbs, not in the result.
     """
 
     space: Space
@@ -83,7 +85,8 @@ def pose(
     retractions : what holds or pulls the lips; a cut without any is legal.
     boundary_displacement : (k, 4 or 5) x, y, ux, uy mm [, side]: measured motion of the outline.
     tip_enrichment : 'topological' (Eq. 4), 'geometric' (all nodes within `tip_radius_mm`) or 'none'.
-    lip_constraint : 'mortar' (stable) or 'pointwise' (Eqs. 5 and 6); `hold_tip` holds the tip cell's crossings too.
+    lip_constraint : 'mortar' or 'nitsche' (stable), or 'pointwise' (Eqs. 5 and 6); `hold_tip` holds the tip cell's
+        crossings too.
 
     Raises
     ------
@@ -110,6 +113,9 @@ def pose(
     for group, (retraction, span) in enumerate(zip(retractions, spans)):
         if not retraction.holds:
             load += lip_load(space, retraction, span)
+        elif lip_constraint == "nitsche":
+            terms, forces = nitsche_terms(space, material, retraction, span)
+            springs, load = csr_array(springs + terms), load + forces
         elif lip_constraint == "mortar":
             conditions.append(mortar_rows(space, retraction, span, group))
         else:

@@ -10,8 +10,10 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array, orient
 from xfemnav.mechanics.constraints import eliminate, multipliers
 from xfemnav.mechanics.elasticity import stiffness
+from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.fan import graded_triangles
 from xfemnav.mechanics.lips import lip_quadrature
+from xfemnav.mechanics.nitsche import nitsche_force
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
 
@@ -93,7 +95,8 @@ def solve(problem: Problem) -> Solution:
     The conditions are eliminated exactly (U = U0 + T q), the reduced system is symmetric positive definite, factored
     once and refined once. Raises XfemnavError E407 when the residual stays above 1e-8.
     """
-    K = (stiffness(problem.space, problem.material) + problem.springs).tocsc()
+    elastic = stiffness(problem.space, problem.material)
+    K = (elastic + problem.springs).tocsc()
     basis = scaled_basis(problem, K)
     constraints = problem.constraints
     U0, T = eliminate(replace(constraints, C=constraints.C @ basis))
@@ -113,14 +116,14 @@ def solve(problem: Problem) -> Solution:
         )
     U = U0 + T @ q
     reaction = K @ U - problem.load
-    energy = float(U @ (K @ U) / 2)
+    energy = float(U @ (elastic @ U) / 2)
     U = U.reshape(-1, 2)
     return Solution(
         U=U,
         residual=residual,
         energy=energy,
         **_triangles(problem, U),
-        retractor=_forces(problem, reaction),
+        retractor=_forces(problem, reaction, U),
         **_lip_error(problem, U),
     )
 
@@ -157,20 +160,22 @@ def _triangles(problem, U):
     }
 
 
-def _forces(problem, reaction):
+def _forces(problem, reaction, U):
+    """What each retractor does to its lip."""
     forces = []
+    lambdas = multipliers(problem.constraints, reaction) if (problem.constraints.group >= 0).any() else None
+    # A condition's weights on the partition of unity give the length of lip that its multiplier acts on.
+    weights = problem.constraints.C @ np.repeat(problem.enrichment.kind < BRANCH, 2)
     for group, (retraction, span) in enumerate(zip(problem.retractions, problem.spans)):
         span = (span[0], min(span[1], problem.cuts[retraction.cut].length))
-        q = lip_quadrature(problem.space, retraction.cut, retraction.side, span)
-        if retraction.holds:
-            rows = problem.constraints.group == group
-            force = multipliers(problem.constraints, reaction, group)
-            # A condition's weights on the partition of unity give the length of lip that its multiplier acts on.
-            plain = np.repeat(problem.enrichment.kind < 2, 2)
-            weight = problem.constraints.C[np.flatnonzero(rows)] @ plain
-            total = (force * weight).reshape(-1, 2).sum(axis=0)
-        else:
+        if not retraction.holds:
             total = np.asarray(retraction.force_mN_per_mm)
+        elif problem.lip_constraint == "nitsche":
+            total = nitsche_force(problem.space, problem.material, retraction, span, U)
+        else:
+            rows = problem.constraints.group == group
+            total = (lambdas[rows] * weights[rows]).reshape(-1, 2).sum(axis=0)
+        q = lip_quadrature(problem.space, retraction.cut, retraction.side, span)
         normal = (q.normals * q.weights[:, None]).sum(axis=0) / q.weights.sum()
         pressure = float(retraction.side * (total @ normal) / (span[1] - span[0]))
         forces.append(RetractorForce(retraction.cut, retraction.side, tuple(total.tolist()), pressure))

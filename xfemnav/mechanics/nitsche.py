@@ -1,0 +1,57 @@
+"""Nitsche's condition on a lip: consistent traction terms and a penalty, without multipliers.
+
+On the held lip, with m the outward normal and t(u) = s(u) m, the weak form gains
+- integral t(u).v - integral t(v).(u - given) + integral beta (u - given).v.
+beta = gamma M (held length of the part) / (area of the part), uncapped, with M the P-wave modulus and gamma > 1, keeps
+the form positive on every part, slivers included. Parts under a fifth of their cell carry only the penalty 2 M / h:
+there the traction of a sliver says little, and its weight would spoil the conditioning.
+"""
+
+import numpy as np
+from scipy.sparse import csr_array, vstack
+
+from xfemnav.mechanics.constraints import SKULL, vector_rows
+from xfemnav.mechanics.elasticity import Material, strain_matrices
+from xfemnav.mechanics.lips import Retraction, lip_quadrature
+from xfemnav.mechanics.space import Space
+
+GAMMA = 2.0
+SMALL_PART = 0.2
+
+
+def nitsche_terms(space: Space, material: Material, retraction: Retraction, span) -> tuple[csr_array, np.ndarray]:
+    """Stiffness (n_dof, n_dof) kPa and load (n_dof,) mN per mm of the condition u = given on a held lip."""
+    B, t, beta, weights, given = _lip_operators(space, material, retraction, span)
+    w = np.repeat(weights, 2)
+    K = B.T @ B.multiply((beta * w)[:, None]).tocsr() - B.T @ t.multiply(w[:, None]).tocsr()
+    K = csr_array(K - t.T @ B.multiply(w[:, None]).tocsr())
+    return K, B.T @ (beta * w * given) - t.T @ (w * given)
+
+
+def nitsche_force(space: Space, material: Material, retraction: Retraction, span, U) -> np.ndarray:
+    """Force (2,) mN per mm of thickness that the retractor puts on the lip: integral of t(u) - beta (u - given)."""
+    B, t, beta, weights, given = _lip_operators(space, material, retraction, span)
+    u = np.asarray(U).ravel()
+    traction = t @ u - beta * (B @ u - given)
+    return (np.repeat(weights, 2) * traction).reshape(-1, 2).sum(axis=0)
+
+
+def _lip_operators(space, material, retraction, span):
+    """At Gauss points of the lip, components interleaved: B, tractions t (2q, n_dof), beta, given (2q,); weights (q,)."""
+    q = lip_quadrature(space, retraction.cut, retraction.side, span)
+    B = vector_rows(space.basis_in(q.points, q.parts), np.zeros((len(q.points), 2)), SKULL).C
+    m = -retraction.side * q.normals
+    D = material.stiffness
+    strain = strain_matrices(space, q.points, q.parts)
+    stress = [sum(D[s, k] * strain[k] for k in range(3) if D[s, k]) for s in range(3)]
+    area = np.bincount(space.subcells.part, space.subcells.areas, space.subcells.n_parts)
+    length = np.bincount(q.parts, q.weights, space.subcells.n_parts)
+    cell = space.subcells.part_cell[q.parts]
+    small = area[q.parts] < SMALL_PART * space.mesh.areas[cell]
+    beta = np.where(small, 2 / space.mesh.sizes[cell], GAMMA * length[q.parts] / area[q.parts]) * D[0, 0]
+    # Cauchy: t_x = s_xx m_x + s_xy m_y, t_y = s_xy m_x + s_yy m_y; none on small parts.
+    mx, my = (m * ~small[:, None]).T[:, :, None]
+    t = vstack([stress[0].multiply(mx) + stress[2].multiply(my), stress[2].multiply(mx) + stress[1].multiply(my)])
+    t = csr_array(t)[np.arange(2 * len(m)).reshape(2, -1).T.ravel()]
+    given = retraction.displacement(q.normals)
+    return B, t, np.repeat(beta, 2), q.weights, given.ravel()
