@@ -127,11 +127,10 @@ def demo(**given):
 
     Options change it: `--lip-constraint pointwise --corridor-mm 0` are the paper's own choices.
     """
-    from xfemnav.pipeline.demo import flags, image
+    from xfemnav.pipeline import demo
 
     given["output"] = given["output"] or Path("xfemnav_demo")
-    changed = {name: value for name, value in given.items() if value is not None and value != ()}
-    return execute(image=image(), **(flags() | changed))
+    return execute(image=demo.image(), **demo.with_defaults(given))
 
 
 def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False, force=False, force_from=None,

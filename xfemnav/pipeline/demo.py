@@ -6,6 +6,9 @@ from pathlib import Path
 from xfemnav.errors import XfemnavError
 
 VOLUME = "datasets/data/mni_icbm152_t1_tal_nlin_sym_09a_converted.nii.gz"
+SLICE = {"plane": "axial", "slice_mm": 18.0}
+CUT = {"cut": ("-54.7,41.5 -22,18",)}  # from the surface of the left frontal lobe to a plausible tumour
+LIPS = {"left": "3.5,1", "right": "-3.5,-1"}  # the paper's Sect. 5, with the signs that open the cut
 
 
 def image() -> Path:
@@ -17,6 +20,9 @@ def image() -> Path:
     return path
 
 
-def flags() -> dict:
-    """A cut from the surface of the left frontal lobe to a plausible tumour, lips moved as in the paper's Sect. 5."""
-    return {"plane": "axial", "slice_mm": 18.0, "cut": ("-54.7,41.5 -22,18",), "left": "3.5,1", "right": "-3.5,-1"}
+def with_defaults(flags: dict) -> dict:
+    """`flags` with the demo's slice, and its cut and lips where they name none."""
+    own = SLICE if flags.get("cut") else SLICE | CUT
+    if not any(flags.get(name) for name in ("left", "right", "lip_force", "opening_mm")):
+        own = own | LIPS
+    return flags | own
