@@ -146,19 +146,25 @@ def _with_vertices(polygon, tips, h):
 
 
 def triangulate(xy, tips, h):
-    """Fan of triangles (k, 3, 2) from the vertex that makes the best ones; a tip is preferred."""
+    """Fan of triangles (k, 3, 2) of a convex polygon (n, 2) from the vertex that makes the best ones; a tip first.
+
+    A polygon may have vertices inside its sides; every vertex is a corner of some triangle if any fan allows it.
+    """
     n = len(xy)
-    best, best_score = None, -1.0
-    for apex in range(n):
-        fan = np.array([[xy[apex], xy[(apex + k) % n], xy[(apex + k + 1) % n]] for k in range(1, n - 1)])
-        area = orient(fan[:, 0], fan[:, 1], fan[:, 2]) / 2
-        longest = np.linalg.norm(fan - fan[:, [1, 2, 0]], axis=2).max(axis=1)
-        solid = area > ON_LINE * h * longest
-        used = {tuple(x) for x in fan[solid].reshape(-1, 2)}
-        score = (area[solid] / longest[solid] ** 2).min() if solid.any() else 0.0
-        score += sum(np.hypot(*(xy[apex] - tip)) < REACH * h for tip in tips)
-        if len(used) == n or best is None:
-            score += len(used) == n
-            if score > best_score:
-                best, best_score = fan[solid], score
-    return best
+    if n == 3:
+        return xy[None]
+    apex = np.arange(n)
+    first = (apex[:, None] + np.arange(1, n - 1)) % n
+    fans = np.stack([np.broadcast_to(xy[:, None], (n, n - 2, 2)), xy[first], xy[(first + 1) % n]], axis=2)
+    area = orient(fans[:, :, 0], fans[:, :, 1], fans[:, :, 2]) / 2
+    longest = np.linalg.norm(fans - fans[:, :, [1, 2, 0]], axis=3).max(axis=2)
+    solid = area > ON_LINE * h * longest
+    score = np.where(solid, area / longest**2, np.inf).min(axis=1)
+    # A flat triangle leaves a vertex out, unless its neighbour in the fan has it.
+    none = np.zeros((n, 1), dtype=bool)
+    seen = np.concatenate([solid, none], axis=1) | np.concatenate([none, solid], axis=1)
+    score += 2.0 * seen.all(axis=1)
+    if len(tips):
+        score += (np.linalg.norm(xy[:, None] - np.asarray(tips), axis=2) < REACH * h).any(axis=1)
+    best = int(np.argmax(np.where(solid.any(axis=1), score, -1.0)))
+    return fans[best][solid[best]]

@@ -37,7 +37,7 @@ def nitsche_force(space: Space, material: Material, retraction: Retraction, span
 
 
 def _lip_operators(space, material, retraction, span):
-    """At Gauss points of the lip, components interleaved: B, tractions t (2q, n_dof), beta, given (2q,); weights (q,)."""
+    """At Gauss points of the lip, components interleaved: B, tractions t (2q, n_dof), beta, given; weights (q,)."""
     q = lip_quadrature(space, retraction.cut, retraction.side, span)
     B = vector_rows(space.basis_in(q.points, q.parts), np.zeros((len(q.points), 2)), SKULL).C
     m = -retraction.side * q.normals

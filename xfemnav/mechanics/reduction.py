@@ -1,8 +1,9 @@
 """Changes of basis U = T q that keep the system small and well conditioned.
 
 With geometric enrichment the four functions of Eq. (3) at every node, for both components, are nearly dependent: two
-*vector* functions a node, the leading displacement fields of mode I and mode II, span what matters. Then each node's
-own block of K is scaled by its inverse square root, which gives the conditioning of plain finite elements.
+*vector* functions a node, the leading displacement fields of mode I and mode II, span what matters. Then the block of K
+of each node with branch functions is scaled by its inverse square root, and all other unknowns by their diagonal (the
+pieces of a node do not overlap): that gives the conditioning of plain finite elements.
 """
 
 import numpy as np
@@ -46,15 +47,17 @@ def vector_tip_basis(space: Space, material: Material) -> csc_array:
 
 
 def owners(table: Enrichment, T: csc_array) -> np.ndarray:
-    """Node (n,) that each column of T belongs to."""
-    T = T.tocsc()
-    return table.node[T.indices[T.indptr[:-1]] // 2]
+    """Block (n,) of each column of T: its node where that has branch functions, else a block of its own."""
+    row = T.tocsc().indices[T.tocsc().indptr[:-1]] // 2
+    node = table.node[row]
+    alone = ~np.isin(node, table.tip_nodes)
+    return np.where(alone, len(table.node) + np.arange(len(row)), node)
 
 
 def node_blocks(K: csc_array, owner) -> csr_array:
     """P (n, m) with P'KP = 1 on every node's own block; directions without stiffness of their own are left out.
 
-    K (n, n) symmetric; owner (n,) the node of each unknown. Unknowns that are alone at their node are only scaled.
+    K (n, n) symmetric; owner (n,) the block of each unknown, from `owners`. Unknowns that are alone are only scaled.
     """
     coo = K.tocoo()
     same = owner[coo.row] == owner[coo.col]
