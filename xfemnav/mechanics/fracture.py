@@ -6,19 +6,24 @@ the mutual energy, q falls smoothly from 1 to 0 with the distance from the tip, 
 free lips the second integral is zero; it counts on kinked and curved cuts. (Moran & Shih 1987; Moes et al. 1999.)
 """
 
+from dataclasses import dataclass
+
 import numpy as np
+import shapely
 
 from xfemnav.geometry.mesh import orient
-from xfemnav.mechanics.angles import adjacency, centroids, unwrap
+from xfemnav.mechanics.angles import adjacency, centroids, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_gradients, polar
 from xfemnav.mechanics.elasticity import Material, strain_matrices
 from xfemnav.mechanics.lips import LEFT, RIGHT, lip_quadrature
+from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.quadrature import collapsed_rule
 from xfemnav.mechanics.reduction import mode_combinations, tip_frame
 from xfemnav.mechanics.space import Space
 
 #: q is 1 within this fraction of the domain's radius.
 PLATEAU = 0.3
+PA_SQRT_M = 1e3 * 10**-1.5  # one kPa mm^.5
 
 
 def stress_intensity(space: Space, material: Material, U, tip: int, radius_mm: float) -> tuple[float, float]:
@@ -48,6 +53,40 @@ def stress_intensity(space: Space, material: Material, U, tip: int, radius_mm: f
         modulus /= 1 - material.poisson**2
     K_I, K_II = integral * modulus / 2
     return float(K_I), float(K_II)
+
+
+@dataclass(frozen=True)
+class FreeTip:
+    """Intensity of the stress at a tip: K_I opens, K_II shears; from the disc of `radius_mm` about it."""
+
+    cut: int
+    point_mm: tuple[float, float]
+    K_I_Pa_sqrt_m: float
+    K_II_Pa_sqrt_m: float
+    radius_mm: float
+
+
+def free_tips(problem: Problem, U) -> tuple[FreeTip, ...]:
+    """The stress intensity factors of every tip with a free disc of at least two elements about it."""
+    sub, found = problem.subcells, []
+    for tip, x in enumerate(sub.tips):
+        h = problem.mesh.sizes[sub.part_cell[touched_parts(sub, tip)]].max()
+        radius = 0.9 * _clearance(problem, tip)
+        if radius >= 2 * h:
+            K = np.array(stress_intensity(problem.space, problem.material, U, tip, radius)) * PA_SQRT_M
+            found.append(FreeTip(int(sub.tip_cut[tip]), tuple(x.tolist()), float(K[0]), float(K[1]), float(radius)))
+    return tuple(found)
+
+
+def _clearance(problem, tip):
+    """Distance mm from a tip to the nearest outline, other tip, other cut or held or loaded piece of a lip."""
+    sub, x = problem.subcells, problem.subcells.tips[tip]
+    distance = [shapely.linestrings(sub.rim_ends), shapely.points(np.delete(sub.tips, tip, axis=0))]
+    distance.append(shapely.linestrings(sub.lip_ends[sub.lip_cut != sub.tip_cut[tip]]))
+    for retraction, span in zip(problem.retractions, problem.spans):
+        held = (sub.lip_cut == retraction.cut) & (sub.lip_arc[:, 0] < span[1]) & (sub.lip_arc[:, 1] > span[0])
+        distance.append(shapely.linestrings(sub.lip_ends[held]))
+    return float(min(shapely.distance(lines, shapely.Point(x)).min(initial=np.inf) for lines in distance))
 
 
 def _weight(s):

@@ -12,6 +12,7 @@ from xfemnav.mechanics.constraints import eliminate, multipliers
 from xfemnav.mechanics.elasticity import stiffness
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.fan import graded_triangles
+from xfemnav.mechanics.fracture import FreeTip, free_tips
 from xfemnav.mechanics.lips import lip_quadrature
 from xfemnav.mechanics.nitsche import nitsche_force
 from xfemnav.mechanics.problem import Problem
@@ -50,6 +51,7 @@ class Solution:
     strain: np.ndarray
     det_F: np.ndarray
     retractor: tuple[RetractorForce, ...]
+    tips: tuple[FreeTip, ...]
     lip_error_rms_mm: float
     lip_error_max_mm: float
 
@@ -124,6 +126,7 @@ def solve(problem: Problem) -> Solution:
         energy=energy,
         **_triangles(problem, U),
         retractor=_forces(problem, reaction, U),
+        tips=free_tips(problem, U),
         **_lip_error(problem, U),
     )
 
