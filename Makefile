@@ -3,10 +3,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: help demo paper phantom batch test test-all lint docs bench clean
+.PHONY: help demo paper worked-case batch test test-all lint docs bench clean
 
 help:  ## this list
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 13
 
 # Where the system's Python has no ensurepip, its own pip fills the new environment.
 $(INSTALLED): pyproject.toml
@@ -19,6 +19,10 @@ demo: $(INSTALLED)  ## the paper's experiment on a real MRI slice, with today's 
 
 paper: $(INSTALLED)  ## the same with the paper's own choices: pointwise lips, uniform mesh, topological tip enrichment
 	$(BIN)/xfemnav demo -o out/paper --lip-constraint pointwise --corridor-mm 0 --tip-enrichment topological
+
+worked-case: $(INSTALLED)  ## docs/worked-case.md: a cut from the brain surface to a tumour on the phantom
+	$(BIN)/python -m data_synthetic out/phantom
+	$(BIN)/xfemnav run out/phantom/sub-phantom_T1w.nii.gz --cut "58,50.2 25.4,22" --left 2.3,-2.6 --right=-2.3,2.6 -o out/worked-case
 
 # GNU make keeps its -j in MAKEFLAGS; the runs are shared out by the command itself, so that one failure stops no other.
 batch: $(INSTALLED)  ## make batch IN=folder OUT=folder -j N: every slice of IN that has a <stem>.toml beside it
@@ -33,8 +37,9 @@ test-all: $(INSTALLED)  ## all tests, long batteries too
 lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .
 
-docs: $(INSTALLED)  ## write the generated pages and pictures again
+docs: demo worked-case  ## write the generated page and pictures of docs/ again
 	$(BIN)/python -m xfemnav.pipeline.errordocs docs/errors.md
+	$(BIN)/python docs/pictures.py
 
 bench: $(INSTALLED)  ## measurements beside other programs
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'

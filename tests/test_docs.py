@@ -1,0 +1,125 @@
+"""The pages say what the program does: codes, commands, options, scenarios, keys and links are held against it."""
+
+import ast
+import json
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import click
+import pytest
+from xfemnav_cli.main import cli
+
+from xfemnav.errors import FAULTS
+from xfemnav.pipeline import errordocs
+from xfemnav.pipeline.report import CHECKS
+from xfemnav.pipeline.runfile import NAMES
+from xfemnav.pipeline.scenario import problems
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SOURCES = [*(ROOT / "xfemnav").rglob("*.py"), *(ROOT / "cli").rglob("*.py")]
+CODE = re.compile(r"\b[EW]\d{3}\b")
+
+
+def options(command: click.Command) -> set[str]:
+    return {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+
+
+def commands(page: str):
+    """The words of every `xfemnav ...` line of the page's indented blocks, without comments."""
+    for line in re.findall(r"^ {4}(xfemnav .*)$", page, flags=re.MULTILINE):
+        yield shlex.split(line, comments=True)
+
+
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_page_of_errors_is_that_of_the_program():
+    assert (ROOT / "docs/errors.md").read_text() == errordocs.page(), (
+        "write it again: python -m xfemnav.pipeline.errordocs docs/errors.md")
+
+
+def test_every_code_has_a_group_and_a_sentence():
+    for code, fault in FAULTS.items():
+        assert sum(code.startswith(start) for start in errordocs.GROUPS) == 1, code
+        assert fault.cause.endswith(".") and fault.remedy.endswith((".", ")", "`")), code
+        assert (fault.exit_code == 0) == code.startswith("W"), code
+
+
+def test_every_code_in_the_program_is_in_the_table_and_every_row_is_used():
+    used = set()
+    for path in SOURCES:
+        if path.name != "errors.py":
+            strings = [node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
+            used |= {code for text in strings if isinstance(text, str) for code in CODE.findall(text)}
+    assert used - set(FAULTS) == set(), "raised, but not in the table"
+    assert set(FAULTS) - used == set(), "in the table, but never raised"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_every_command_on_a_page_can_be_parsed(page):
+    for words in commands(page.read_text()):
+        command, rest = cli, words[1:]
+        while isinstance(command, click.Group):
+            assert rest and rest[0] in command.commands, words
+            command, rest = command.commands[rest[0]], rest[1:]
+        with command.make_context("xfemnav", rest, resilient_parsing=False):
+            pass
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_every_option_on_a_page_exists(page):
+    known = {"--noise", "--help"}
+    stack = [cli]
+    while stack:
+        command = stack.pop()
+        known |= options(command)
+        stack += command.commands.values() if isinstance(command, click.Group) else ()
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", page.read_text())) <= known
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_every_scenario_on_a_page_is_valid(page):
+    for text in blocks(page.read_text(), "toml"):
+        assert problems(tomllib.loads(text)) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_every_python_block_compiles_and_every_link_leads_somewhere(page):
+    text = page.read_text()
+    for block in blocks(text, "python"):
+        ast.parse(block)
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_every_code_on_a_page_exists(page):
+    assert set(CODE.findall(page.read_text())) <= set(FAULTS)
+
+
+def test_page_of_outputs_names_every_file_key_and_check():
+    text = (ROOT / "docs/outputs.md").read_text()
+    schema = json.loads((ROOT / "xfemnav/pipeline/run.schema.json").read_text())["properties"]
+    for name in [*NAMES, "figure", "report", *schema, *schema["checks"]["properties"]]:
+        assert f"`{name}`" in text, name
+    assert set(CHECKS) == set(schema["checks"]["properties"]), "the report shows every check"
+
+
+def test_makefile_describes_every_target():
+    text = (ROOT / "Makefile").read_text()
+    phony = set(re.search(r"^\.PHONY: (.*)$", text, flags=re.MULTILINE)[1].split())
+    described = set(re.findall(r"^([a-z-]+):.*## ", text, flags=re.MULTILINE))
+    assert phony == described
+    assert {"demo", "paper", "batch", "test", "test-all", "lint", "bench"} <= phony
+
+
+def test_worked_case_is_one_command_in_all_its_places():
+    """README, docs and Makefile run the same command, and the picture is of its run."""
+    line = next(line.strip() for line in (ROOT / "README.md").read_text().splitlines() if "-o out/worked-case" in line)
+    assert line in (ROOT / "docs/worked-case.md").read_text()
+    assert line in (ROOT / "Makefile").read_text()
