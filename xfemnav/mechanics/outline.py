@@ -8,10 +8,13 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.constraints import SKULL, Constraints, normal_rows, stack, vector_rows
+from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.space import Space
 
 #: Length over which the skull's springs reach the tissue's own stiffness: k = (E / RAMP_STIFFNESS_MM) x / (1 - x).
 RAMP_STIFFNESS_MM = 2.0
+#: Penalty, in units of M / h, on the held part of a facet that begins free.
+STRADDLE_PENALTY = 1.5
 #: Where measured points are farther apart than this along the outline, the skull's own condition holds between them.
 MEASURED_GAP_MM = 20.0
 #: A measured point farther than this from the outline is refused.
@@ -49,7 +52,7 @@ class Rim:
 
 
 def skull_conditions(
-    space: Space, skull: Skull, mouths, young_kpa: float, measured=None
+    space: Space, skull: Skull, mouths, material: Material, measured=None
 ) -> tuple[Constraints, csr_array]:
     """Conditions C U = d on the outline and the spring matrix (n_dof, n_dof) kPa of the ramp.
 
@@ -69,8 +72,8 @@ def skull_conditions(
         make = _vector_conditions if skull.kind == "fixed" else _sliding_conditions
         parts.append(make(space, rim, held, np.zeros((held.sum(), 2))))
     springs = csr_array((n_dof, n_dof))
-    if skull.kind != "free" and skull.ramp_mm > 0 and len(mouths):
-        springs = _springs(space, skull, mouths, young_kpa, measured is not None)
+    if skull.kind != "free" and len(mouths) and measured is None:
+        springs = _springs(space, skull, mouths, material)
     return stack(parts, n_dof), springs
 
 
@@ -129,28 +132,41 @@ def _sliding_conditions(space, rim, held, _):
     return normal_rows(B[first], normals, np.zeros(len(first)), SKULL)
 
 
-def _springs(space, skull, mouths, young_kpa, measured):
-    """Integral of k u.u (fixed) or k (n.u)^2 (sliding) over the ramp; none where displacements are measured."""
-    n_dof = space.enrichment.n_dof
+def _springs(space, skull, mouths, material):
+    """Integral of k u.u (fixed) or k (n.u)^2 (sliding): the ramp, and the held part of facets that begin free.
+
+    On the ramp k = (E / 2 mm) x / (1 - x). Conditions hold nodes, so a facet that straddles the place where the grip
+    is complete would be held from its next node on: its part beyond gets the penalty 1.5 M / h, M the P-wave modulus.
+    """
     sub = space.subcells
     a, b = sub.rim_ends.swapaxes(0, 1)
-    t, w = np.polynomial.legendre.leggauss(6)
-    t = (t + 1) / 2
-    points = a[:, None] + t[None, :, None] * (b - a)[:, None]
     length = np.linalg.norm(b - a, axis=1)
-    x = (_distance(points.reshape(-1, 2), mouths) - skull.craniotomy_mm) / skull.ramp_mm
-    inside = (x > 0) & (x < 1)
-    if measured or not inside.any():
-        return csr_array((n_dof, n_dof))
-    x = x[inside]
-    k = young_kpa / RAMP_STIFFNESS_MM * x / (1 - x) * np.outer(length, w / 2).ravel()[inside]
-    parts = np.repeat(sub.rim_part, len(t))[inside]
-    B = space.basis_in(points.reshape(-1, 2)[inside], parts)
+    full = skull.craniotomy_mm + skull.ramp_mm
+    ends = np.stack([_distance(a, mouths), _distance(b, mouths)])
+    near = np.flatnonzero((ends.min(axis=0) < full) & (ends.max(axis=0) > skull.craniotomy_mm))
+    t, w = _composite_gauss(8, 4)
+    points = (a[near, None] + t[None, :, None] * (b - a)[near, None]).reshape(-1, 2)
+    weights = np.outer(length[near], w).ravel()
+    facet = np.repeat(near, len(t))
+    distance = _distance(points, mouths)
+    x = (distance - skull.craniotomy_mm) / skull.ramp_mm if skull.ramp_mm > 0 else np.zeros(len(points))
+    x = np.clip(x, 0, 0.999)
+    h = space.mesh.sizes[sub.part_cell[sub.rim_part[facet]]]
+    beyond = STRADDLE_PENALTY * material.stiffness[0, 0] / h
+    k = weights * np.where(distance >= full, beyond, material.young_kpa / RAMP_STIFFNESS_MM * x / (1 - x))
+    points, facet, k = points[k > 0], facet[k > 0], k[k > 0]
+    B = space.basis_in(points, sub.rim_part[facet])
     if skull.kind == "sliding":
-        C = normal_rows(B, np.repeat(_outward(a, b), len(t), axis=0)[inside], np.zeros(len(k)), SKULL).C
+        C = normal_rows(B, _outward(a, b)[facet], np.zeros(len(k)), SKULL).C
         return csr_array(C.T @ C.multiply(k[:, None]).tocsr())
     C = vector_rows(B, np.zeros((len(k), 2)), SKULL).C
     return csr_array(C.T @ C.multiply(np.repeat(k, 2)[:, None]).tocsr())
+
+
+def _composite_gauss(pieces, n):
+    """Points and weights on [0, 1]: n Gauss points in each of equal pieces."""
+    t, w = np.polynomial.legendre.leggauss(n)
+    return ((np.arange(pieces)[:, None] + (t + 1) / 2) / pieces).ravel(), np.tile(w / 2 / pieces, pieces)
 
 
 def _measured(space, rim, measured):

@@ -108,7 +108,7 @@ def pose(
     mouths = np.array([path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(
         -1, 2
     )
-    outline, springs = skull_conditions(space, skull, mouths, material.young_kpa, boundary_displacement)
+    outline, springs = skull_conditions(space, skull, mouths, material, boundary_displacement)
     conditions, load = [outline], np.zeros(n_dof)
     for group, (retraction, span) in enumerate(zip(retractions, spans)):
         if not retraction.holds:
