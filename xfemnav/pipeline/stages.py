@@ -225,14 +225,20 @@ def solve_publish(value, inputs, folder):
 
 def warp(params, inputs):
     """The slice after the cut: an Update."""
+    from xfemnav.errors import warn
     from xfemnav.imaging.warp import covered, pull_back, update
 
     slice, _ = inputs.value("segment")
     solution, mesh = inputs.value("solve"), inputs.value("mesh")
     grid = slice.origin, slice.spacing, slice.values.shape
     motion = pull_back(solution.rest, solution.moved, *grid)
-    return update(slice.values, *grid[:2], covered(mesh.corners, *grid), motion,
-                  interp=params.interp, outside=params.outside, fill=params.fill)
+    updated = update(slice.values, *grid[:2], covered(mesh.corners, *grid), motion,
+                     interp=params.interp, outside=params.outside, fill=params.fill)
+    if updated.overlap.any():
+        x, y = slice.pixel_centres()[updated.overlap].mean(axis=0)
+        warn("W403", f"{updated.overlap.sum() * slice.spacing.prod():.3g} mm2 of tissue lie twice, about "
+                     f"({x:.1f}, {y:.1f}) mm: a lip has moved through the other. Hold both lips.")
+    return updated
 
 
 def warp_facts(value, inputs):
