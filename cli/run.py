@@ -59,8 +59,10 @@ MECHANICS = (
     click.option("--skull-ramp-mm", type=float, metavar="R", help="Length over which the skull's grip sets in.  [4]"),
     click.option("--boundary-displacement", type=FILE, metavar="FILE.csv",
                  help="Measured motion of the outline: x,y,ux,uy[,side]."),
-    click.option("--tip-enrichment", type=_choice("topological", "none"), help="Functions at tips.  [topological]"),
-    click.option("--lip-constraint", type=_choice("mortar", "pointwise"), help="How lips are held.  [mortar]"),
+    click.option("--tip-enrichment", type=_choice("topological", "geometric", "none"),
+                 help="Functions at tips.  [topological]"),
+    click.option("--lip-constraint", type=_choice("mortar", "nitsche", "pointwise"),
+                 help="How lips are held.  [mortar]"),
     click.option("--hold-tip", is_flag=True, default=None, help="Hold the tip cell too (pointwise only)."),
 )
 WARP = (

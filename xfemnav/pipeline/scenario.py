@@ -5,6 +5,7 @@ the flag that sets it, and the nearest valid name for one that is not known.
 """
 
 import difflib
+import re
 import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -15,6 +16,8 @@ from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.flags import tables
 
 LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
+# Dotted keys deeper than that; the parser's time grows with the square of their length.
+LONG_KEY = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){32}""")
 
 Vector = Annotated[tuple[float, float], Strict(False)]
 Point = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=3)]
@@ -118,7 +121,7 @@ class SolveSection(Section):
 
     stress_state: Literal["strain", "stress"] = "strain"
     tip_enrichment: Literal["topological", "geometric", "none"] = "topological"
-    lip_constraint: Literal["mortar", "pointwise"] = "mortar"
+    lip_constraint: Literal["mortar", "nitsche", "pointwise"] = "mortar"
     hold_tip: bool = Field(False, description="hold the tip cell's crossings too (pointwise only)")
 
 
@@ -161,14 +164,18 @@ def read_toml(path: Path) -> dict:
         raise XfemnavError("E100", f"no scenario file at {path}. Correct the path.")
     if path.stat().st_size > LIMIT_BYTES:
         raise XfemnavError("E780", f"{path.name} holds {path.stat().st_size} bytes; at most {LIMIT_BYTES} are read.")
+    too_deep = XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.")
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if LONG_KEY.search(text):
+            raise too_deep
+        raw = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise XfemnavError("E780", f"{path.name} is no TOML: {error}.") from None
     except RecursionError:
-        raise XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.") from None
+        raise too_deep from None
     if _depth(raw) > LIMIT_DEPTH:
-        raise XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.")
+        raise too_deep
     return raw
 
 

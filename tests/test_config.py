@@ -1,0 +1,213 @@
+"""Scenario and flags: all that is wrong is told at once, and each stage gets its own parameters and no others."""
+
+import subprocess
+import sys
+from dataclasses import fields
+from typing import get_args
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from xfemnav_cli.run import execute, run
+
+from xfemnav.errors import XfemnavError
+from xfemnav.pipeline.config import STAGES, configure, scenario_problems
+from xfemnav.pipeline.flags import CUT_FLAGS, FLAGS
+from xfemnav.pipeline.keys import canonical
+from xfemnav.pipeline.scenario import Scenario, problems
+
+SCENARIO = """
+xfemnav = 1
+image = "head.nii.gz"
+[[cut]]
+name = "approach"
+points = [[-54.7, 41.5], [-22.0, 18.0]]
+[[retract]]
+side = "left"
+displacement_mm = [3.5, 1.0]
+[mesh]
+element_size_mm = 4.0
+"""
+CUT = {"cut": ("0,0 10,0",)}
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def refused(code, *arguments, **flags):
+    with pytest.raises(XfemnavError) as caught:
+        configure(*arguments, **flags)
+    assert caught.value.code == code
+    return caught.value.message
+
+
+def test_every_problem_is_told_at_once_with_the_nearest_name():
+    found = problems({
+        "xfemnav": 1, "imge": "a", "mesh": {"elment_size_mm": 3, "corridor_mm": float("nan")}, "space": "mni",
+        "cut": [{"points": [[0, 0], [1, 1]], "name": "a"}, {"points": [["0", 0], [1, 1]], "name": "a"}],
+        "retract": [{"side": "top", "cut": "approach", "displacement_mm": [1, 2]}],
+    })
+    text = "\n".join(found)
+    for part in ("imge: unknown key, did you mean 'image'", "mesh.elment_size_mm: unknown key, did you mean 'element",
+                 "mesh.corridor_mm", "space: ", "cut.1.points.0.0", "two cuts are called 'a'", "retract.0.side",
+                 "no cut is called 'approach'"):
+        assert part in text, part
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e999", '"12"', "true", "[1]", '""', "{}"])
+def test_what_is_no_finite_number_is_no_displacement(scenario, value):
+    """Row 35."""
+    scenario.write_text(SCENARIO.replace("3.5", value))
+    assert "retract.0.displacement_mm" in refused("E780", scenario=scenario)
+
+
+@pytest.mark.parametrize("value", ["nan,1", "inf,1", "1e999,1", "a,b", "1", "1,2,3", "", ",", "0x1,2", "1;2"])
+def test_what_is_no_finite_number_is_no_flag(value):
+    assert "--left" in refused("E780", "head.nii", flags=CUT | {"left": value})
+
+
+def test_several_wrong_flags_are_told_at_once():
+    text = refused("E780", None, flags={"cut": ("1,a",), "left": "x", "fill": float("nan"), "element_size_mm": -1.0})
+    for part in ("--cut", "--left", "--fill", "--element-size-mm", "no image"):
+        assert part in text, part
+
+
+def test_a_run_needs_a_cut_but_a_mesh_does_not():
+    assert "--cut" in refused("E780", "head.nii", flags={})
+    assert configure("head.nii", flags={}, until="mesh").mesh.corridor == ()
+
+
+def test_flags_and_image_win_over_the_scenario(scenario):
+    plain = configure(scenario=scenario)
+    assert plain.image == scenario.parent / "head.nii.gz" and plain.mesh.element_size_mm == 4.0
+    changed = configure("other.nii", scenario, {"element_size_mm": 2.0, "right": "-1,-2", "left": (1, 2)})
+    assert str(changed.image) == "other.nii" and changed.mesh.element_size_mm == 2.0
+    assert [(r.side, r.displacement_mm) for r in changed.constrain.retractions] == [(1, (1.0, 2.0)), (-1, (-1.0, -2.0))]
+    replaced = configure(scenario=scenario, flags=CUT)
+    assert replaced.constrain.cuts[0].points == ((0.0, 0.0), (10.0, 0.0)) and replaced.constrain.retractions == ()
+
+
+def test_opening_is_half_on_each_lip_and_excludes_the_others():
+    config = configure("head.nii", flags=CUT | {"opening_mm": 5.0, "blade": "0.1,0.6"})
+    assert [(r.side, r.normal_mm, r.blade) for r in config.constrain.retractions] == [
+        (1, 2.5, (0.1, 0.6)), (-1, 2.5, (0.1, 0.6))]
+    assert "--opening-mm" in refused("E780", "head.nii", flags=CUT | {"opening_mm": 5.0, "left": "1,1"})
+    assert "--lip-force" in refused("E780", "head.nii", flags=CUT | {"left": "1,1", "lip_force": ("left=1,1",)})
+
+
+def test_a_stage_reads_its_own_parameters_and_no_others():
+    """What a flag changes: the parameters of one stage, or of mesh and constrain where the cut draws the corridor."""
+    start = CUT | {"opening_mm": 4.0}
+    base = configure("head.nii", flags=start)
+    for changed, flags in (
+        ("warp", {"interp": "cubic"}), ("constrain", {"opening_mm": 5.0}), ("constrain", {"poisson": 0.3}),
+        ("mesh", {"element_size_mm": 5.0}), ("segment", {"slice": 3}), ("read", {"nan": 0.0}),
+        ("mesh constrain", {"cut": ("0,0 9,1",)}), ("constrain", {"skull": "free"}),
+    ):
+        other = configure("head.nii", flags=start | flags)
+        assert [s for s in ("read", *STAGES) if getattr(other, s) != getattr(base, s)] == changed.split(), flags
+    uniform = configure("head.nii", flags=start | {"corridor_mm": 0.0})
+    moved = configure("head.nii", flags=start | {"corridor_mm": 0.0, "cut": ("0,0 9,1",), "space": "lps"})
+    assert uniform.mesh == moved.mesh != base.mesh
+
+
+def test_planned_corridor_keeps_the_mesh_when_the_cut_moves(scenario):
+    scenario.write_text(SCENARIO + "corridor = [[-60, 40], [-20, 20]]\n")
+    moved = scenario.with_name("moved.toml")
+    moved.write_text(scenario.read_text().replace("-22.0, 18.0", "-23.0, 19.0"))
+    assert configure(scenario=scenario).mesh == configure(scenario=moved).mesh
+
+
+# Hostile files -------------------------------------------------------------------------------------------------------
+
+PARTS = st.sampled_from(["..", ".", "a", "/etc", "passwd", "\0", "link", "~", "c:\\x", " ", "ü", "/"])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(PARTS, min_size=1, max_size=5))
+def test_paths_stay_in_the_folder_of_the_scenario(tmp_path_factory, parts):
+    """Row 49: whatever the path, either it lies in the folder, or E781 (E780 where it is no path at all)."""
+    home = tmp_path_factory.mktemp("home") / "inner"
+    home.mkdir()
+    (home / "link").symlink_to("/etc")
+    text = "/".join(parts)
+    path = home / "case.toml"
+    escaped = text.replace("\\", "\\\\").replace("\0", "\\u0000")
+    path.write_text(SCENARIO.replace("head.nii.gz", escaped), encoding="utf-8")
+    try:
+        assert configure(scenario=path).image.resolve().is_relative_to(home)
+    except XfemnavError as error:
+        assert error.code == "E781"
+
+
+@pytest.mark.parametrize("text", [
+    "x = " + "[" * 100_000, "x = " + "[" * 40 + "]" * 40, "a.b." * 20_000 + "c = 1", "xfemnav = 1\nxfemnav = 1", "[[[",
+    "xfemnav = 1\nimage = 3", "", "\0", "# " + "x" * 1_000_001,
+], ids=["nested", "deep", "dotted", "duplicate", "torn", "type", "empty", "nul", "long"])
+def test_hostile_scenarios_are_one_error(tmp_path, text):
+    """Row 50."""
+    path = tmp_path / "case.toml"
+    path.write_text(text)
+    message = refused("E780", scenario=path)
+    assert len(message) < 2000
+    assert scenario_problems(path)
+
+
+def test_check_lists_missing_files_too(scenario):
+    assert [line[:11] for line in scenario_problems(scenario)] == ["E100 image:"]
+    (scenario.parent / "head.nii.gz").write_bytes(b"")
+    assert scenario_problems(scenario) == []
+
+
+@pytest.mark.parametrize("header, rows, code", [
+    ("x,y,ux,uy", "0,0,1,1\n5,0,1,1", None), ("x,y,ux,uy,side", "0,0,1,1,1\n5,0,1,1,-1", None),
+    ("x,y,u", "0,0,1", "E408"), ("x,y,ux,uy", "0,0,1,nan\n1,1,1,1", "E408"), ("x,y,ux,uy", "0,0,1,1", "E408"),
+    ("", "", "E408"),
+])
+def test_measured_boundary_is_read_or_refused(tmp_path, header, rows, code):
+    path = tmp_path / "surface.csv"
+    path.write_text(f"{header}\n{rows}\n")
+    flags = CUT | {"boundary_displacement": path}
+    if code:
+        refused(code, "head.nii", flags=flags)
+    else:
+        assert len(configure("head.nii", flags=flags).constrain.boundary_displacement) == 2
+
+
+# One list of flags ---------------------------------------------------------------------------------------------------
+
+def test_command_line_and_table_of_flags_agree():
+    own = set(execute.__kwdefaults__) | {"verbose", "as_json", "quiet"}
+    assert {option.name for option in run.params} - own == set(FLAGS) | set(CUT_FLAGS)
+
+
+def test_choices_of_the_command_line_are_those_of_the_schema():
+    for option in run.params:
+        if option.name not in FLAGS or not hasattr(option.type, "choices"):
+            continue
+        section = Scenario
+        *path, name = FLAGS[option.name].split(".")
+        for part in path:
+            section = section.model_fields[part].annotation
+        annotation = section.model_fields[name].annotation
+        choices = [c for arm in (get_args(annotation) or ()) for c in (get_args(arm) or [arm]) if isinstance(c, str)]
+        assert list(option.type.choices) == choices, option.name
+
+
+def test_every_stage_has_parameters_that_a_key_can_hold():
+    config = configure("head.nii", flags=CUT | {"opening_mm": 4.0})
+    for stage in STAGES:
+        params = getattr(config, stage)
+        canonical(params)
+        assert all(hasattr(params, f.name) for f in fields(params))
+
+
+def test_configuring_imports_no_numerics():
+    code = ("import sys, xfemnav_cli.main; from xfemnav.pipeline.config import configure;"
+            "configure('a.nii', flags={'cut': ('0,0 1,1',)});"
+            "assert not {'numpy', 'scipy', 'nibabel'} & set(sys.modules)")
+    subprocess.run([sys.executable, "-c", code], check=True)
