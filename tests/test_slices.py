@@ -1,7 +1,5 @@
 """Slices and frames. Most tests rest on one law: a slice of a function of world position shows that function."""
 
-from itertools import permutations, product
-
 import nibabel
 import numpy as np
 import pytest
@@ -10,21 +8,13 @@ from hypothesis import strategies as st
 from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 
+from tests.images import ORDERS, affine_of, image_of, stored
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.reading import Image, read_image
+from xfemnav.imaging.reading import read_image
 from xfemnav.imaging.slices import PLANES, plane_points, read_mask, take_slice, to_nifti, values_on
 
 GRADIENT = np.array([3.0, -5.0, 0.7])
-ORDERS = list(product(permutations(range(3)), product((False, True), repeat=3)))  # 48 storage orders
 TILT = Rotation.from_euler("xyz", (20, -15, 12), degrees=True).as_matrix()
-
-
-def image_of(values, affine, name="image.nii.gz", code=2):
-    return Image(values, affine, "float64", code, "", name)
-
-
-def affine_of(linear, origin=(-30.0, 20.0, 5.0)):
-    return np.vstack([np.column_stack([linear, origin]), [0, 0, 0, 1]])
 
 
 def ramp(shape=(7, 9, 5), affine=None, f=lambda world: world @ GRADIENT):
@@ -32,16 +22,6 @@ def ramp(shape=(7, 9, 5), affine=None, f=lambda world: world @ GRADIENT):
     affine = affine_of(TILT * [0.8, 1.3, 2.1]) if affine is None else affine
     world = np.moveaxis(np.indices(shape), 0, -1) @ affine[:3, :3].T + affine[:3, 3]
     return image_of(f(world), affine)
-
-
-def stored(image, order, flips):
-    """The same physical image with its array axes in another order and direction."""
-    values, affine = image.values.transpose(order), image.affine[:, [*order, 3]].copy()
-    for axis in np.flatnonzero(flips):
-        affine[:, 3] += affine[:, axis] * (values.shape[axis] - 1)
-        affine[:, axis] *= -1
-        values = np.flip(values, axis)
-    return image_of(values, affine)
 
 
 def assert_shows(slice, f=lambda world: world @ GRADIENT):

@@ -20,7 +20,7 @@ def one_piece(mask: np.ndarray) -> np.ndarray:
     mask = np.asarray(mask, bool)
     filled = ndimage.binary_fill_holes(largest_component(mask))
     if not filled.any():
-        raise XfemnavError("E201", f"the mask is empty: none of its {mask.size} pixels is set. Give another --mask.")
+        raise XfemnavError("E201", f"the mask is empty: none of {mask.size} pixels is organ. Give a --mask FILE.")
     if filled.all():
         raise XfemnavError("E203", f"the mask covers the whole slice of {mask.shape[0]} x {mask.shape[1]} pixels, so "
                                    "the organ has no outline. Give a mask with background around it.")

@@ -27,8 +27,11 @@ LEAST_MM2 = 1500.0
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """`mask` (n1, n2) bool on the slice's pixels, the way it was found (`method`: mask, stripped, vote, otsu or svc),
-    and `info`: area_mm2 and, by method, share_of_head, agreement of the voters, moved (Dice of svc and its prior)."""
+    """`mask` (n1, n2) bool on the slice's pixels, and how it was found: mask, stripped, vote, otsu or svc.
+
+    `info` has area_mm2 and, by method, share_of_head, agreement (Dice of each pair of voters), kept (Dice with svc's
+    prior).
+    """
 
     mask: np.ndarray
     method: str
@@ -54,7 +57,7 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
     if method == "svc":
         prior = _prior(slice, work, mask, template, template_mask)
         found = classify(work, prior)
-        return _result(slice, one_piece(work.back(found)), "svc", {"moved": dice(found, prior)})
+        return _result(slice, one_piece(work.back(found)), "svc", {"kept": dice(found, prior)})
     if method == "auto" and skull != "on" and (skull == "stripped" or is_stripped(slice)):
         return _result(slice, one_piece(foreground(slice)), "stripped", {})
     head = head_of(work)
@@ -91,8 +94,6 @@ def _result(slice: Slice, mask: np.ndarray, method: str, info: dict) -> Segmenta
         doubts.append(f"it is {share:.0%} of the head (usual: {SHARE_OF_HEAD[0]:.0%} to {SHARE_OF_HEAD[1]:.0%})")
     if best < AGREEMENT:
         doubts.append(f"no two of its methods agree (best Dice {best:.2f})")
-    if info.get("moved", 1.0) < AGREEMENT:
-        doubts.append(f"it left its prior (Dice {info['moved']:.2f})")
     if doubts:
         warn("W206", f"the segmentation ({method}) is doubtful: {'; '.join(doubts)}. Look at it; give --mask FILE.")
     return Segmentation(mask, method, {"area_mm2": area, **info})

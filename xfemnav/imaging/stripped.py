@@ -17,11 +17,15 @@ RIM_MM = 25.0  # scalp and skull end above this depth
 
 
 def background(slice: Slice) -> np.ndarray:
-    """Pixels (n1, n2) outside a stripped organ: the commonest value, in regions that reach the slice's edge."""
-    levels, counts = np.unique(slice.values, return_counts=True)
+    """Pixels (n1, n2) outside a stripped organ: the commonest value on the slice's edge, where it reaches the edge."""
+    levels, counts = np.unique(_edge(slice.values), return_counts=True)
     labels, _ = ndimage.label(slice.values == levels[np.argmax(counts)])
-    edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    edge = _edge(labels)
     return np.isin(labels, edge[edge > 0])
+
+
+def _edge(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
 
 
 def foreground(slice: Slice) -> np.ndarray:

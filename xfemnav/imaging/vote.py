@@ -17,7 +17,7 @@ from xfemnav.imaging.working import Working
 
 OPEN_MM, CLOSE_MM = 2.0, 6.0  # removes strands of scalp and dura; bridges sulci
 THRESHOLDS = (0.7, 0.85, 1.0, 1.15, 1.3)  # of Otsu's
-OPENINGS_MM = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
+OPENINGS_MM = (1.0, 2.0, 4.0, 6.0)
 SCALP_MM = 5.0  # the outermost tissue of a head is never brain
 CORE = 0.45  # of the head's greatest depth: deeper is brain
 
@@ -48,9 +48,10 @@ def best_candidate(work: Working, head: np.ndarray) -> np.ndarray:
     candidates = []
     for threshold in THRESHOLDS:
         bright = work.values > threshold * otsu
-        for radius in OPENINGS_MM:
-            core = central(opened(bright, radius / work.pixel), below)
-            grown = bright & dilate(core, radius / work.pixel)
+        inner = depth(bright)
+        for radius in np.divide(OPENINGS_MM, work.pixel):
+            core = central(dilate(inner > radius, radius), below)
+            grown = bright & dilate(core, radius)
             candidates.append(sealed(grown, CLOSE_MM / work.pixel))
     return max(candidates, key=lambda mask: score(mask, work, below), default=np.zeros(head.shape, bool))
 
