@@ -15,7 +15,7 @@ import shapely
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.delaunay import Triangulation, holes, insert, mark_inside, square
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.outline_nodes import outline_nodes
+from xfemnav.geometry.outline_nodes import Rail, outline_nodes, rail_nodes, strays
 from xfemnav.geometry.relaxation import lift_worst, mean_quality, optimal_delaunay, truss
 from xfemnav.geometry.sizing import cones, sample_inside
 
@@ -26,6 +26,7 @@ HOLE = 0.8  # a cell whose circumscribed radius exceeds this, in h, can take one
 STRAY = 0.2  # an outline edge that leaves the outline by more than this, in its length, is too coarse
 SMALLEST = 1 / 16  # a detail that would need elements smaller than this part of the wanted ones is refused
 GROWTH = 0.25  # mm per mm about details that are finer than the elements
+CLOSE = 0.985  # below this mean quality the outline's shape governs the mesh, and more cells are worth a search
 CYCLES, STALL = 6, 2e-3  # most cycles of relaxation; it ends when the mean quality rises by less
 ROUNDS = 12  # times that the mesh is begun anew with smaller elements at newly found details
 
@@ -45,15 +46,17 @@ def distmesh(outline, size: float | Callable, *, min_quality: float = 0.5) -> Me
     spots = np.empty((0, 3))
     for _ in range(ROUNDS):
         size_at = _lowered(wanted, spots) if len(spots) else wanted
-        T, n_outline, details = _outline_triangulation(outline, size_at)
+        T, rail, details = _outline_triangulation(outline, size_at)
         if len(details) == 0:
             if callable(size) or len(spots):
                 _fill_by_fronts(T, size_at)
             else:
                 _fill_by_lattice(T, float(size))
             _fill_holes(T, size_at)
-            mesh = _relaxed(T, n_outline, size_at)
-            details = _flat(mesh, min_quality)
+            mesh = _relaxed(T, rail, size_at)
+            if not shapely.Polygon(mesh.points[: len(rail.places)]).is_valid:  # nodes slid past a bay's other shore
+                mesh = _relaxed(T, rail._replace(free=np.zeros(len(rail.free), bool)), size_at)
+            details = _flat(mesh, min_quality, size_at)
             if len(details) == 0:
                 return mesh
         if (details[:, 2] < SMALLEST * wanted(details[:, :2])).any():
@@ -93,8 +96,8 @@ def expected_nodes(outline, size_at: Callable) -> float:
     return float(interior + np.sum(length / size_at(outline)) / 2)
 
 
-def _outline_triangulation(outline, size_at) -> tuple[Triangulation, int, np.ndarray]:
-    """Delaunay triangulation of nodes on the outline, their number, and details (k, 3) = x, y, size that it misses.
+def _outline_triangulation(outline, size_at) -> tuple[Triangulation, Rail, np.ndarray]:
+    """Delaunay triangulation of nodes on the outline, their rail, and details (k, 3) = x, y, size that it misses.
 
     A detail is an outline edge that the triangulation does not hold, because another node is close, or that strays
     from the outline: it wants half the size. When there is none, the outline's edges bound the cells marked inside.
@@ -107,15 +110,16 @@ def _outline_triangulation(outline, size_at) -> tuple[Triangulation, int, np.nda
             f"the mesh would have about {expected:.3g} nodes, outside {FEWEST_NODES} to {MOST_NODES}; "
             f"use a {'smaller' if expected < FEWEST_NODES else 'larger'} element size",
         )
-    nodes, stray = outline_nodes(outline, size_at)
+    rail = outline_nodes(outline, size_at)
+    nodes = rail_nodes(rail)
     T = square(outline.min(axis=0), outline.max(axis=0), int(1.5 * expected) + 4 * len(nodes) + 1000)
     placed = insert(T, nodes, np.zeros(len(nodes)), np.full(len(nodes), -1), 0.0, 0.0)
     there = mark_inside(T, 4, len(nodes)) if (placed >= 0).all() else placed >= 0
     T.sizes[4 : 4 + len(nodes)] = size_at(nodes)
     edges = np.roll(nodes, -1, axis=0) - nodes
     length = np.linalg.norm(edges, axis=1)
-    missed = ~there | (stray > STRAY * length)
-    return T, len(nodes), np.column_stack([nodes + edges / 2, length / 2])[missed]
+    missed = ~there | (strays(rail, nodes) > STRAY * length)
+    return T, rail, np.column_stack([nodes + edges / 2, length / 2])[missed]
 
 
 def _fill_by_lattice(T, h):
@@ -172,7 +176,7 @@ def _fill_holes(T, size_at):
             front = _wave(T, front, size_at)
 
 
-def _relaxed(T, n_outline, size_at) -> Mesh:
+def _relaxed(T, rail, size_at) -> Mesh:
     """The inside cells, relaxed in cycles of truss and optimal Delaunay steps; then the worst stars."""
     if T.count[0] == len(T.points):
         raise XfemnavError("E207", f"the mesh has more than {len(T.points)} nodes; use a larger element size")
@@ -185,17 +189,18 @@ def _relaxed(T, n_outline, size_at) -> Mesh:
     quality = 0.0
     for _ in range(CYCLES):
         h, before = size_at(p), quality
-        truss(p, cells, across, h, n_outline, 15)
-        optimal_delaunay(p, cells, across, h, n_outline, 2)
+        truss(p, cells, across, h, rail, 15)
+        optimal_delaunay(p, cells, across, h, rail, 2)
         quality = mean_quality(p, cells)
         if quality < before + STALL:
             break
-    lift_worst(p, cells, across, size_at(p), n_outline, 0.8, 8)
+    lift_worst(p, cells, across, size_at(p), rail, 0.9 if quality > CLOSE else 0.95, 4)
     return Mesh(p, cells)
 
 
-def _flat(mesh, min_quality) -> np.ndarray:
-    """Details (k, 3) = x, y, size mm at the cells below `min_quality`: they want elements of half their own size."""
-    flat = mesh.quality < min_quality
-    longest = np.linalg.norm(mesh.corners - np.roll(mesh.corners, 1, axis=1), axis=2).max(axis=1)
-    return np.column_stack([mesh.corners.mean(axis=1), longest / 2])[flat]
+def _flat(mesh, min_quality, size_at) -> np.ndarray:
+    """Details (k, 3) = x, y, size mm of the cells below `min_quality`: half the size or half the edges."""
+    flat = mesh.corners[mesh.quality < min_quality]
+    longest = np.linalg.norm(flat - np.roll(flat, 1, axis=1), axis=2).max(axis=1)
+    centres = flat.mean(axis=1)
+    return np.column_stack([centres, np.minimum(longest, size_at(centres)) / 2])

@@ -1,34 +1,64 @@
 """Nodes on an outline: its corners, and points between them spaced by arc length as a size function asks."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 CORNER = np.radians(40)  # an outline that turns by more keeps a node there
+BEND = np.radians(12)  # a node where it turns by more does not slide: its edges would cut the bend
 
 
-def outline_nodes(outline, size_at) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (k, 2) on the closed `outline` (n, 2) mm and how far (k,) mm it strays from the edge after each.
+class Rail(NamedTuple):
+    """The outline as a rail for its nodes: `points` (m, 2) mm, the first repeated at the end, at the `ticks` (m,).
 
-    Between corners the nodes divide the integral of ds / size into equal parts near 1.
+    A tick is the integral of ds / size from the first point: a count of edges. The nodes stand at the `places` (k,),
+    and those that are `free` (k,), no corners, may slide.
     """
+
+    points: np.ndarray
+    ticks: np.ndarray
+    places: np.ndarray
+    free: np.ndarray
+
+
+@njit(cache=True)
+def rail_point(rail, place):
+    """Position x, y mm on the rail; `place` counts on past the end of the loop."""
+    place = place % rail.ticks[-1]
+    k = min(max(1, np.searchsorted(rail.ticks, place, side="right")), len(rail.ticks) - 1)
+    span = rail.ticks[k] - rail.ticks[k - 1]
+    part = (place - rail.ticks[k - 1]) / span if span > 0 else 0.0
+    ax, ay = rail.points[k - 1]
+    bx, by = rail.points[k]
+    return ax + part * (bx - ax), ay + part * (by - ay)
+
+
+def outline_nodes(outline, size_at) -> Rail:
+    """Nodes on the closed `outline` (n, 2) mm: its corners, and between them equal parts, near 1, of its ticks."""
     points = _dense(outline, size_at)
     h = size_at(points)
-    corners = np.flatnonzero(_corners(points, h))
-    if len(corners):
-        points, h = np.roll(points, -corners[0], axis=0), np.roll(h, -corners[0])
-        corners = corners - corners[0]
-    points, h = np.concatenate([points, points[:1]]), np.append(h, h[0])
+    turn = _turns(points, h)
+    corners = np.flatnonzero(_corners(points, h, turn))
+    first = corners[0] if len(corners) else 0
+    loop = np.append(np.roll(np.arange(len(points)), -first), first)
+    points, h, turn = points[loop], h[loop], turn[loop]
+    corners = corners - first
     length = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    wanted = np.append(0, np.cumsum(length * (1 / h[1:] + 1 / h[:-1]) / 2))  # number of edges from the first point on
+    ticks = np.append(0, np.cumsum(length * (1 / h[1:] + 1 / h[:-1]) / 2))
     stops = np.append(corners if len(corners) else 0, len(points) - 1)
     fewest = max(1, -(-3 // (len(stops) - 1)))
     places = []
-    for start, stop in zip(wanted[stops[:-1]], wanted[stops[1:]]):
+    for start, stop in zip(ticks[stops[:-1]], ticks[stops[1:]]):
         n = max(fewest, round(stop - start))
         places.append(start + (stop - start) * np.arange(n) / n)
     places = np.concatenate(places)
-    nodes = np.stack([np.interp(places, wanted, points[:, i]) for i in (0, 1)], axis=1)
-    return nodes, _stray(points, wanted, nodes, np.append(places, wanted[-1]))
+    return Rail(points, ticks, places, np.interp(places, ticks, turn) < BEND)
+
+
+def rail_nodes(rail) -> np.ndarray:
+    """Positions (k, 2) mm of the nodes on the rail."""
+    return np.stack([np.interp(rail.places, rail.ticks, rail.points[:, i]) for i in (0, 1)], axis=1)
 
 
 def _dense(outline, size_at) -> np.ndarray:
@@ -47,16 +77,14 @@ def _dense(outline, size_at) -> np.ndarray:
 
 
 @njit(cache=True)
-def _corners(points, h):
-    """Marks (n,) the points where the closed outline turns by more than `CORNER` between h/3 before and h/3 after.
+def _turns(points, h):
+    """Angle (n,) by which the closed outline turns at each point, between h/3 before and h/3 after it.
 
-    Of such points within h/3 of each other the sharpest counts; the scale keeps the steps of a pixel contour from
-    being corners.
+    The scale keeps the steps of a pixel contour from being corners.
     """
     n = len(points)
-    turn, corner = np.zeros(n), np.zeros(n, np.bool_)
+    turn, ends = np.zeros(n), np.empty((2, 2))
     for a in range(n):
-        ends = np.empty((2, 2))
         for k in range(2):
             step = 2 * k - 1
             b, left = a, h[a] / 3
@@ -73,6 +101,14 @@ def _corners(points, h):
         ux, uy = points[a, 0] - ends[0, 0], points[a, 1] - ends[0, 1]
         vx, vy = ends[1, 0] - points[a, 0], ends[1, 1] - points[a, 1]
         turn[a] = abs(np.arctan2(ux * vy - uy * vx, ux * vx + uy * vy))
+    return turn
+
+
+@njit(cache=True)
+def _corners(points, h, turn):
+    """Marks (n,) the points with a `turn` over `CORNER`; of those within h/3 of each other the sharpest."""
+    n = len(points)
+    corner = np.zeros(n, np.bool_)
     for a in range(n):
         if turn[a] < CORNER:
             continue
@@ -91,13 +127,11 @@ def _corners(points, h):
 
 
 @njit(cache=True)
-def _stray(points, wanted, nodes, places):
-    """Largest distance (k,) mm of the points of the outline from the edge of `nodes` that stands for them."""
-    stray = np.zeros(len(nodes))
-    k = 0
+def strays(rail, nodes):
+    """Largest distance (k,) mm of the outline from the edge after each of its `nodes` (k, 2) that stands for it."""
+    points, stray = rail.points, np.zeros(len(nodes))
     for n in range(len(points)):
-        while wanted[n] > places[k + 1]:
-            k += 1
+        k = np.searchsorted(rail.places, rail.ticks[n], side="right") - 1
         ax, ay = nodes[k]
         bx, by = nodes[(k + 1) % len(nodes)]
         dx, dy = bx - ax, by - ay

@@ -1,13 +1,16 @@
 """Make a triangulation even without triangulating again: edge flips, truss forces, optimal Delaunay moves, worst
 stars.
 
-`p` (n, 2) mm, `cells` (m, 3) counter-clockwise and `across` (m, 3) are changed in place. The first `n_fixed` nodes,
+`p` (n, 2) mm, `cells` (m, 3) counter-clockwise and `across` (m, 3) are changed in place. The first `rail` nodes,
 those of the outline, stay; no step ever turns a cell over. Everything is compiled by numba and bounded.
 """
 
 import numpy as np
 from numba import njit
 
+from xfemnav.geometry.outline_nodes import rail_point
+
+FAIR = 0.8  # a star without a cell worse than this is improved in its mean, others in their worst cell
 FLAT = 0.05  # a step that leaves a cell less than this fraction of its area is undone at the cell's nodes
 
 
@@ -70,14 +73,22 @@ def flip(p, cells, across):
 
 
 @njit(cache=True)
-def _step(p, move, cells, h, n_fixed):
+def _step(p, move, cells, h, rail):
     """Move the free nodes by `move` (n, 2) mm, at most .2 h each; nodes of cells that would become flat stay."""
-    old = p.copy()
-    for a in range(n_fixed, len(p)):
+    old, places = p.copy(), rail.places.copy()
+    for a in range(len(p)):
         length = np.hypot(move[a, 0], move[a, 1])
-        scale = min(1.0, 0.2 * h[a] / length) if length > 0 else 0.0
-        p[a, 0] += scale * move[a, 0]
-        p[a, 1] += scale * move[a, 1]
+        if length == 0 or (a < len(places) and not rail.free[a]):
+            continue
+        scale = min(1.0, 0.2 * h[a] / length)
+        if a < len(places):
+            b, c = (a + 1) % len(places), (a - 1) % len(places)
+            tx, ty = old[b, 0] - old[c, 0], old[b, 1] - old[c, 1]
+            rail.places[a] += scale * (move[a, 0] * tx + move[a, 1] * ty) / np.hypot(tx, ty) / h[a]
+            p[a] = rail_point(rail, rail.places[a])
+        else:
+            p[a, 0] += scale * move[a, 0]
+            p[a, 1] += scale * move[a, 1]
     undone = True
     while undone:  # each pass brings back at least one node, so there are at most n
         undone = False
@@ -89,11 +100,13 @@ def _step(p, move, cells, h, n_fixed):
                 for k in (a, b, c):
                     if p[k, 0] != old[k, 0] or p[k, 1] != old[k, 1]:
                         p[k, 0], p[k, 1] = old[k, 0], old[k, 1]
+                        if k < len(places):
+                            rail.places[k] = places[k]
                         undone = True
 
 
 @njit(cache=True)
-def truss(p, cells, across, h, n_fixed, n_steps):
+def truss(p, cells, across, h, rail, n_steps):
     """Bars in compression push the nodes apart, F = max(L0 - L, 0) (Persson & Strang 2004, section 3).
 
     L0 is the mean wanted length `h` (n,) mm of a bar's ends, scaled to the actual lengths and by 1.12, so that the
@@ -124,12 +137,12 @@ def truss(p, cells, across, h, n_fixed, n_steps):
                         move[a, 1] -= force * dy
                         move[b, 0] += force * dx
                         move[b, 1] += force * dy
-        _step(p, move, cells, h, n_fixed)
+        _step(p, move, cells, h, rail)
     flip(p, cells, across)
 
 
 @njit(cache=True)
-def optimal_delaunay(p, cells, across, h, n_fixed, n_steps):
+def optimal_delaunay(p, cells, across, h, rail, n_steps):
     """Move nodes to the mean of the circumcentres of their cells, weighted by area / h^2 (Chen & Xu 2004)."""
     for _ in range(n_steps):
         move, weight = np.zeros_like(p), np.zeros(len(p))
@@ -146,7 +159,8 @@ def optimal_delaunay(p, cells, across, h, n_fixed, n_steps):
                 weight[k] += w
         for k in range(len(p)):
             move[k] /= weight[k]
-        _step(p, move, cells, h, n_fixed)
+        move[: len(rail.places)] = 0
+        _step(p, move, cells, h, rail)
         flip(p, cells, across)
 
 
@@ -168,20 +182,19 @@ def _stars(cells, n):
 
 
 @njit(cache=True)
-def _star_quality(p, cells, first, cell, a):
-    """Worst quality of the cells about node `a`."""
-    worst = 1.0
+def _star_score(p, cells, first, cell, a):
+    """Score of the cells about node `a`: their mean quality; while one is below `FAIR`, its quality less 1."""
+    worst, total = 1.0, 0.0
     for k in range(first[a], first[a + 1]):
         t = cell[k]
-        worst = min(worst, _quality(p, cells[t, 0], cells[t, 1], cells[t, 2]))
-    return worst
+        q = _quality(p, cells[t, 0], cells[t, 1], cells[t, 2])
+        worst, total = min(worst, q), total + q
+    return worst - 1 if worst < FAIR else total / (first[a + 1] - first[a])
 
 
 @njit(cache=True)
-def lift_worst(p, cells, across, h, n_fixed, below, rounds):
-    """Raise the worst quality of the stars that hold a cell of quality less than `below`, by pattern search on each
-    node.
-    """
+def lift_worst(p, cells, across, h, rail, below, rounds):
+    """Raise the score of the stars that hold a cell of quality less than `below`, by pattern search on each node."""
     for _ in range(rounds):
         first, cell = _stars(cells, len(p))
         todo = np.zeros(len(p), np.bool_)
@@ -190,27 +203,35 @@ def lift_worst(p, cells, across, h, n_fixed, below, rounds):
                 for i in range(3):
                     todo[cells[t, i]] = True
         moved = False
-        for a in range(n_fixed, len(p)):
-            if not todo[a]:
+        for a in range(len(p)):
+            slides = a < len(rail.places)
+            if not todo[a] or (slides and not rail.free[a]):
                 continue
-            best, reach = _star_quality(p, cells, first, cell, a), 0.2 * h[a]
+            best, reach = _star_score(p, cells, first, cell, a), 0.1
             x, y = p[a]
-            for _ in range(24):
-                improved = False
-                for direction in range(6):
-                    angle = np.pi / 3 * direction
-                    p[a, 0], p[a, 1] = x + reach * np.cos(angle), y + reach * np.sin(angle)
-                    q = _star_quality(p, cells, first, cell, a)
-                    if q > best + 1e-4:
-                        best, improved = q, True
+            place = rail.places[a] if slides else 0.0
+            for _ in range(8):
+                improved, centre = False, place
+                for direction in range(2 if slides else 6):
+                    if slides:
+                        tried = centre + reach * (1 - 2 * direction)
+                        p[a] = rail_point(rail, tried)
+                    else:
+                        tried, angle = 0.0, np.pi / 3 * direction
+                        p[a, 0], p[a, 1] = x + reach * h[a] * np.cos(angle), y + reach * h[a] * np.sin(angle)
+                    q = _star_score(p, cells, first, cell, a)
+                    if q > best + 0.01 * (1 - best):
+                        best, improved, place = q, True, tried
                         x, y = p[a]
                 p[a, 0], p[a, 1] = x, y
                 if improved:
                     moved = True
                 else:
                     reach /= 2
-                    if reach < 0.004 * h[a]:
+                    if reach < 0.004:
                         break
+            if slides:
+                rail.places[a] = place
         if not moved:
             return
         flip(p, cells, across)
