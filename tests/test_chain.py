@@ -1,0 +1,225 @@
+"""The whole chain on a small brain: what is computed again and what is not, and what the output folder holds."""
+
+import gzip
+import json
+import random
+import shutil
+import warnings
+from pathlib import Path
+
+import jsonschema
+import meshio
+import nibabel as nib
+import numpy as np
+import pytest
+from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
+
+from xfemnav.pipeline.chain import recorded
+from xfemnav.pipeline.config import STAGES, configure
+from xfemnav.pipeline.runfile import public_name, run_schema
+from xfemnav.pipeline.scenario import problems
+
+ROLES = {"mask", "mesh", "solution", "updated", "cavity", "overlap", "field"}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """A folder with an image and a cache that is filled once."""
+    folder = tmp_path_factory.mktemp("chain")
+    write(folder / "sub-01_T1w.nii.gz")
+    return folder
+
+
+@pytest.fixture
+def run(home, capfd, monkeypatch):
+    """Run the command on the image; the record and the stages' states by name."""
+    monkeypatch.chdir(home)
+
+    def command(*flags, image="sub-01_T1w.nii.gz", output="out", code=0, base=(*QUICK, "--cut", CUT, *OPEN)):
+        got, stdout, stderr = xfemnav(capfd, "run", image, "-o", output, "-w", "cache", "--json", *base, *flags)
+        assert got == code, stderr
+        record = json.loads(stdout)
+        jsonschema.validate(record, run_schema())
+        assert record == json.loads((home / output / "run.json").read_text())
+        return record, {stage["name"]: stage["status"] for stage in record["stages"]}
+
+    command()
+    return command
+
+
+def ran(states):
+    """Names of the stages that were computed."""
+    return [name for name, state in states.items() if state != "cached"]
+
+
+def test_second_run_computes_nothing_and_leaves_the_same_bytes(run, home):
+    before = {path.name: path.read_bytes() for path in (home / "out").iterdir() if path.name != "run.json"}
+    _, states = run()
+    assert ran(states) == [] and list(states) == list(STAGES)
+    assert before == {path.name: path.read_bytes() for path in (home / "out").iterdir() if path.name != "run.json"}
+    fresh, states = run("--force", output="fresh")
+    assert ran(states) == list(STAGES)
+    for role, name in fresh["outputs"].items():
+        assert (home / "fresh" / name).read_bytes() == before[name], role
+
+
+def test_a_change_computes_what_depends_on_it_and_nothing_else(run):
+    assert ran(run("--fill", "7")[1]) == ["warp"]
+    assert ran(run("--interp", "nearest")[1]) == ["warp"]
+    assert ran(run("--blade", "0,0.6")[1]) == ["constrain", "solve", "warp"]
+    assert ran(run("--craniotomy-mm", "15")[1]) == ["constrain", "solve", "warp"]
+    assert ran(run("--element-size-mm", "9")[1]) == ["mesh", "constrain", "solve", "warp"]
+    assert ran(run("--force-from", "solve")[1]) == ["solve", "warp"]
+
+
+def test_name_and_packing_of_the_input_change_nothing(run, home):
+    renamed = shutil.copy(home / "sub-01_T1w.nii.gz", home / "renamed.nii.gz")
+    unpacked = home / "unpacked.nii"
+    unpacked.write_bytes(gzip.decompress((home / "sub-01_T1w.nii.gz").read_bytes()))
+    repacked = home / "repacked.nii.gz"
+    repacked.write_bytes(gzip.compress(unpacked.read_bytes(), 1))
+    for image in (renamed, unpacked, repacked):
+        assert ran(run(image=image, output="elsewhere")[1]) == []
+
+
+def test_dry_run_says_what_would_run_and_writes_nothing(run, home, capfd):
+    base = ("run", "sub-01_T1w.nii.gz", "-w", "cache", *QUICK, "--cut", CUT, *OPEN, "--dry-run")
+    code, stdout, _ = xfemnav(capfd, *base)
+    assert code == 0 and stdout.count(" cached ") == 5
+    code, stdout, _ = xfemnav(capfd, *base, "--poisson", "0.31", "-o", "never")
+    assert [line.split()[1] for line in stdout.splitlines()] == ["cached", "cached", "would", "would", "would"]
+    assert not (home / "never").exists()
+
+
+def test_damaged_entry_is_healed_and_said(run, home):
+    record, _ = run()
+    before = (home / "out" / record["outputs"]["updated"]).read_bytes()
+    rng = random.Random(3)
+    for stage in ("solve", "mesh"):
+        key = next(item["key"] for item in record["stages"] if item["name"] == stage)
+        victim = home / "cache" / "entries" / key[:2] / key / "value.npz"
+        data = bytearray(victim.read_bytes())
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        victim.write_bytes(data)
+        healed, states = run()
+        assert states[stage] == "healed" and ran(states) == [stage]
+        assert "W601" in [item["code"] for item in healed["warnings"]]
+        assert (home / "out" / record["outputs"]["updated"]).read_bytes() == before
+
+
+def test_stop_after_leaves_what_was_asked_for(run):
+    record, states = run("--stop-after", "mesh", output="part")
+    assert list(states) == ["segment", "mesh"] and set(record["outputs"]) == {"mask", "mesh"}
+
+
+def test_outputs_are_what_their_roles_promise(run, home):
+    """Names, grids, frames and marks of every public file."""
+    record, _ = run("--fill", "-5")
+    folder, outputs = home / "out", record["outputs"]
+    assert set(outputs) == ROLES and outputs["updated"] == "sub-01_desc-updated_T1w.nii.gz"
+    source = nib.load(home / "sub-01_T1w.nii.gz")
+    images = {role: nib.load(folder / outputs[role]) for role in ROLES - {"mesh", "solution"}}
+    for role, image in images.items():
+        assert np.allclose(image.affine, source.affine) and image.shape[:3] == source.shape, role
+        assert (folder / outputs[role].replace(".nii.gz", ".json")).is_file()
+        assert (folder / outputs[role]).read_bytes()[4:8] == bytes(4)  # no time of day in the gzip header
+    updated, cavity, mask = (images[role].get_fdata() for role in ("updated", "cavity", "mask"))
+    assert images["updated"].get_data_dtype() == np.float32
+    assert cavity.any() and (updated[cavity > 0] == -5).all()
+    outside = (mask == 0) & (cavity == 0)
+    assert np.mean(updated[outside] == source.get_fdata()[outside]) > 0.99  # but for pixels that tissue moved over
+    assert record["checks"]["cavity_mm2"] == cavity.sum() * 4
+    field = images["field"]
+    assert field.shape == (64, 72, 1, 1, 3) and field.header["intent_code"] == 1007
+    solution = meshio.read(folder / outputs["solution"])
+    assert [block.type for block in solution.cells] == ["triangle"] and np.allclose(solution.points[:, 2], 10)
+    assert solution.point_data["displacement"].shape == (len(solution.points), 3)
+    assert set(solution.cell_data) == {"strain", "det_F", "piece"}
+    lips = np.round(solution.points, 6)
+    assert len(np.unique(lips, axis=0)) < len(lips)  # the lips are double
+
+
+def test_field_leads_each_pixel_to_its_resting_place(run, home):
+    """updated(x) is the old image at x + field(x), the field read as LPS mm."""
+    record, _ = run()
+    old = nib.load(home / "sub-01_T1w.nii.gz").get_fdata()[:, :, 0]
+    new = nib.load(home / "out" / record["outputs"]["updated"]).get_fdata()[:, :, 0]
+    field = nib.load(home / "out" / record["outputs"]["field"]).get_fdata()[:, :, 0, 0] * (-1, -1, 1)
+    tissue = np.abs(field).max(axis=-1) > 1e-3
+    place = (np.indices(old.shape).transpose(1, 2, 0) + field[..., :2] / 2)[tissue]
+    i, j = np.floor(place).astype(int).T
+    s, t = (place - np.floor(place)).T
+    linear = ((1 - s) * (1 - t) * old[i, j] + s * (1 - t) * old[i + 1, j] + (1 - s) * t * old[i, j + 1]
+              + s * t * old[i + 1, j + 1])
+    assert np.abs(linear - new[tissue]).max() < 1e-2  # float32 field of 1e-6 mm, gradients of 300 a pixel
+
+
+ORDERS = {"RAS": (), "LAS": (0,), "RPS": (1,), "LPI": (0, 1, 2)}
+
+
+def test_storage_order_changes_nothing_physical(run, home):
+    """One grid in four orders and one transposed: the same motion to 1e-6 mm."""
+    reference, _ = run()
+    truth = meshio.read(home / "out" / reference["outputs"]["solution"])
+    volume = nib.Nifti1Image(brain()[:, :, None], RAS)
+    orders = {name: volume.as_reoriented(np.array([[a, -1 if a in flips else 1] for a in range(3)]))
+              for name, flips in ORDERS.items()}
+    orders["PIR"] = volume.as_reoriented(np.array([[2, 1], [0, -1], [1, -1]]))
+    for name, image in orders.items():
+        nib.save(image, home / f"{name}.nii.gz")
+        record, _ = run(image=f"{name}.nii.gz", output=name)
+        solution = meshio.read(home / name / record["outputs"]["solution"])
+        assert np.abs(solution.points - truth.points).max() < 1e-6, name
+        assert np.abs(solution.point_data["displacement"] - truth.point_data["displacement"]).max() < 1e-6, name
+        back = nib.load(home / name / record["outputs"]["updated"])
+        assert back.shape == image.shape and np.allclose(back.affine, image.affine)
+        again = nib.as_closest_canonical(back).get_fdata()
+        assert np.abs(again - nib.load(home / "out" / reference["outputs"]["updated"]).get_fdata()).max() < 1e-3, name
+
+
+def test_own_mesh_takes_the_place_of_the_mesh_stage(run, home):
+    record, _ = run()
+    mesh = shutil.copy(home / "out" / record["outputs"]["mesh"], home / "mine.vtu")
+    own, _ = run("--mesh", mesh, output="own")
+    assert own["mesh"]["n_nodes"] == record["mesh"]["n_nodes"]
+    displaced = [meshio.read(home / o / r["outputs"]["solution"]).point_data["displacement"]
+                 for o, r in (("out", record), ("own", own))]
+    assert np.abs(displaced[0] - displaced[1]).max() < 1e-6
+
+
+def test_folding_is_marked_untrusted_and_names_an_opening_that_is_safe(run):
+    record, _ = run("--opening-mm", "60", code=3, output="folded")
+    assert record["status"] == "untrusted" and record["error"]["code"] == "E401"
+    assert record["checks"]["inverted_mm2"] > 1 and set(record["outputs"]) == ROLES
+    safe = float(record["error"]["text"].split("opening is ")[1].split(" of")[0])
+    again, _ = run("--opening-mm", str(60 * safe), output="safe")
+    assert again["status"] == "complete" and again["checks"]["inverted_mm2"] <= 1
+
+
+def test_warnings_are_told_again_when_all_is_cached_and_strict_makes_them_the_error(run, home, capfd):
+    prolonged = (*QUICK, *OPEN, "--cut", "-41,9 -15,5")  # starts 3 mm inside
+    codes = [[item["code"] for item in run(base=prolonged, output="warned")[0]["warnings"]] for _ in range(2)]
+    assert "W301" in codes[0] and codes[0] == codes[1]
+    code, _, stderr = xfemnav(capfd, "run", "sub-01_T1w.nii.gz", "-o", "warned", "-w", "cache", "--strict", *prolonged)
+    failed = json.loads((home / "warned" / "run.json").read_text())
+    jsonschema.validate(failed, run_schema())
+    assert code == 65 == failed["exit_code"] and failed["status"] == "failed" and "--strict" in stderr
+    assert [path.name for path in (home / "warned").iterdir()] == ["run.json"]  # no outputs that run.json denies
+
+
+def test_bids_names_keep_their_suffix():
+    assert public_name(Path("sub-01_ses-a_desc-x_T1w.nii"), "updated") == "sub-01_ses-a_desc-updated_T1w.nii.gz"
+    assert public_name(Path("sub-01_T1w.nii.gz"), "mask") == "sub-01_desc-brain_mask.nii.gz"
+    assert public_name(Path("my_head.nii.gz"), "updated") == "my_head_desc-updated.nii.gz"
+
+
+def test_recorded_keeps_foreign_warnings_going():
+    with pytest.warns(UserWarning, match="foreign"), recorded() as found:
+        warnings.warn("foreign", stacklevel=1)
+    assert found == []
+
+
+def test_parameters_of_the_record_are_a_scenario(run):
+    record, _ = run()
+    assert problems({"xfemnav": 1} | record["parameters"]) == []
+    assert configure("x.nii", flags={"cut": (CUT,), "opening_mm": 4.0}).parameters["cut"] == record["parameters"]["cut"]
