@@ -48,22 +48,25 @@ def _gradient(stress, rotation, mu, kappa) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _CrackField:
-    """A field given in a crack's own frame: origin `tip`, first axis along `direction`, second axis to its left."""
+    """A field given in a crack's own frame: first axis along `direction`, second axis to its left.
+
+    Subclasses say where points are (`_polar`), and the displacement, stress and rotation there, all in that frame.
+    """
 
     def displacement(self, points, side=0) -> np.ndarray:
         """Displacement (n, 2) mm."""
-        return self._local(points, side)[0] @ frame(self.direction)
+        return self._displacement(*self._polar(points, side)).T @ frame(self.direction)
 
     def gradient(self, points, side=0) -> np.ndarray:
         """Displacement gradient (n, 2, 2), du_i/dx_j."""
-        _, stress, rotation = self._local(points, side)
+        stress, rotation = self._stress(*self._polar(points, side))
         Q = frame(self.direction)
         return Q.T @ _gradient(stress, rotation, self.mu, self.kappa) @ Q
 
     def stress(self, points, side=0) -> np.ndarray:
         """Stress (n, 3) xx, yy, xy in the unit of `mu`."""
         Q = frame(self.direction)
-        stress = Q.T @ self._local(points, side)[1] @ Q
+        stress = Q.T @ self._stress(*self._polar(points, side))[0] @ Q
         return stress[:, [0, 1, 0], [0, 1, 1]]
 
     @property
@@ -88,21 +91,26 @@ class Williams(_CrackField):
     mu: float = 1.0
     stress_state: str = "strain"
 
-    def _local(self, points, side):
+    def _polar(self, points, side):
+        """Distance from the tip and half the angle, both (n,)."""
         x, y = frame(self.direction) @ (np.asarray(points, float) - self.tip).T
-        r, theta = np.hypot(x, y), _angle(y, x, side)
-        s, c, kappa, K_I, K_II = np.sin(theta / 2), np.cos(theta / 2), self.kappa, self.K_I, self.K_II
-        u = np.sqrt(r / (2 * pi)) / (2 * self.mu) * np.array([
+        return np.hypot(x, y), _angle(y, x, side) / 2
+
+    def _displacement(self, r, half):
+        s, c, kappa, K_I, K_II = np.sin(half), np.cos(half), self.kappa, self.K_I, self.K_II
+        return np.sqrt(r / (2 * pi)) / (2 * self.mu) * np.array([
             K_I * c * (kappa - 1 + 2 * s**2) + K_II * s * (kappa + 1 + 2 * c**2),
             K_I * s * (kappa + 1 - 2 * c**2) - K_II * c * (kappa - 1 - 2 * s**2)])
+
+    def _stress(self, r, half):
+        s, c, s3, c3, K_I, K_II = np.sin(half), np.cos(half), np.sin(3 * half), np.cos(3 * half), self.K_I, self.K_II
         with np.errstate(divide="ignore", invalid="ignore"):    # the stress at the tip is infinite
             w = 1 / np.sqrt(2 * pi * r)
-            s3, c3 = np.sin(1.5 * theta), np.cos(1.5 * theta)
             stress = _symmetric(w * (K_I * c * (1 - s * s3) - K_II * s * (2 + c * c3)),
                                 w * (K_I * c * (1 + s * s3) + K_II * s * c * c3),
                                 w * (K_I * s * c * c3 + K_II * c * (1 - s * s3)))
-            rotation = -(kappa + 1) / (4 * self.mu) * w * (K_II * c + K_I * s)
-        return u.T, stress, rotation
+            rotation = -(self.kappa + 1) / (4 * self.mu) * w * (K_II * c + K_I * s)
+        return stress, rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,25 +142,38 @@ class CentreCrack(_CrackField):
         """Stress intensities (K_I, K_II) at the end that `direction` points to: sqrt(pi a) times the far traction."""
         return float(np.sqrt(pi * self.a) * self.far[1, 1]), float(np.sqrt(pi * self.a) * self.far[0, 1])
 
-    def _local(self, points, side):
+    def _polar(self, points, side):
+        """The point as z = x + iy and sqrt(z^2 - a^2), whose branch cut is the crack, both (n,) complex."""
         x, y = frame(self.direction) @ (np.asarray(points, float) - self.centre).T
-        z, a = x + 1j * y, self.a
-        ends = _angle(y, x - a, side) + _angle(y, x + a, side)
-        root = np.sqrt(np.abs(z - a) * np.abs(z + a)) * np.exp(0.5j * ends)    # sqrt(z^2 - a^2), cut along the crack
+        ends = _angle(y, x - self.a, side) + _angle(y, x + self.a, side)
+        return x + 1j * y, np.sqrt(np.hypot(x - self.a, y) * np.hypot(x + self.a, y)) * np.exp(0.5j * ends)
+
+    @property
+    def _loads(self):
+        """Far stress that opens, that slides, and what is left of the stress along the crack."""
+        return self.far[1, 1], self.far[0, 1], self.far[0, 0] - self.far[1, 1]
+
+    def _displacement(self, z, root):
+        normal, shear, along = self._loads
+        k, x, y = self.kappa, z.real, z.imag
         with np.errstate(divide="ignore", invalid="ignore"):
-            Z, dZ = z / root, -(a**2) / root**3
-        normal, shear, along = self.far[1, 1], self.far[0, 1], self.far[0, 0] - self.far[1, 1]
-        k, mu = self.kappa, self.mu
-        u = np.array([
+            Z = np.where(y == 0, 0, z / root)    # y Z vanishes on the crack's line, also at its ends
+        return np.array([
             normal * ((k - 1) / 2 * root.real - y * Z.imag) + shear * ((k + 1) / 2 * root.imag + y * Z.real)
             + along * (k + 1) / 4 * x,
             normal * ((k + 1) / 2 * root.imag - y * Z.real) - shear * ((k - 1) / 2 * root.real + y * Z.imag)
-            - along * (3 - k) / 4 * y]) / (2 * mu)
+            - along * (3 - k) / 4 * y]) / (2 * self.mu)
+
+    def _stress(self, z, root):
+        normal, shear, along = self._loads
+        y = z.imag
+        with np.errstate(divide="ignore", invalid="ignore"):    # the stress at the ends is infinite
+            Z, dZ = z / root, -(self.a**2) / root**3
         stress = _symmetric(normal * (Z.real - y * dZ.imag) + shear * (2 * Z.imag + y * dZ.real) + along,
                             normal * (Z.real + y * dZ.imag) - shear * y * dZ.real,
                             -normal * y * dZ.real + shear * (Z.real - y * dZ.imag))
-        rotation = (k + 1) / (4 * mu) * (normal * Z.imag - shear * Z.real)
-        return u.T, stress, rotation
+        rotation = (self.kappa + 1) / (4 * self.mu) * (normal * Z.imag - shear * Z.real)
+        return stress, rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,8 +217,8 @@ def resting(field, points, side=0, *, tolerance: float = 1e-10) -> np.ndarray:
         open_, error = open_[wrong], error[wrong]
         if not len(open_):
             break
-        jacobian = np.eye(2) + field.gradient(x[open_], side[open_])
-        x[open_] -= np.linalg.solve(jacobian, error[..., None])[..., 0]
+        (a, b), (c, d) = np.moveaxis(np.eye(2) + field.gradient(x[open_], side[open_]), 0, -1)
+        x[open_] -= (np.array([[d, -b], [-c, a]]) / (a * d - b * c) * error.T).sum(axis=1).T
     x[open_] = np.nan
     return x
 

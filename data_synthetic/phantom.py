@@ -66,7 +66,12 @@ def landmarks() -> np.ndarray:
 
 def side_of(points) -> np.ndarray:
     """+1 for points (n, 2) left of the cut's line and -1 on its right, walking from mouth to tip."""
-    return np.where((np.asarray(points) - TIP) @ frame(TRAVEL)[1] >= 0, 1, -1)
+    return np.where(_left_of_cut(points) >= 0, 1, -1)
+
+
+def _left_of_cut(points) -> np.ndarray:
+    """Distance (n,) mm of points (n, 2) to the left of the cut's line."""
+    return (np.asarray(points) - TIP) @ frame(TRAVEL)[1]
 
 
 @dataclass(frozen=True)
@@ -177,11 +182,11 @@ class Phantom:
         found = np.full(points.shape, np.nan)
         near = np.flatnonzero(np.hypot(*points.T) < radius(np.arctan2(*points.T[::-1])) + REACH)
         for side in (1, -1) if self.has_cut else (0,):
-            x = resting(self.motion_field, points[near], side)
-            height = (x - TIP) @ frame(TRAVEL)[1]
+            n = near[side * _left_of_cut(points[near]) > -REACH]
+            x = resting(self.motion_field, points[n], side)
             # On the line ahead of the tip either side may claim a point, and rounding must not let both refuse it.
-            here = np.isin(self.labels_at(x), BRAIN) & (side * height >= -1e-9)
-            found[near[here]] = x[here]
+            here = np.isin(self.labels_at(x), BRAIN) & (side * _left_of_cut(x) >= -1e-9)
+            found[n[here]] = x[here]
         return found
 
     @cached_property
@@ -224,3 +229,25 @@ def boundary_displacement(phantom: Phantom, n: int = 720) -> np.ndarray:
     side = side_of(points)
     side[0], side[-1] = -1, 1
     return np.column_stack([points, phantom.motion_field.displacement(points, side), side])
+
+
+def perfect_solution(phantom: Phantom, rays: int = 720, rings: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of the brain at rest and moved, both (t, 3, 2) mm, as a solver without error would return them.
+
+    They fan out from the tip to the outline along `rays`, the cut being the first ray and the last. The rings' distance
+    from the tip grows with the square of their number, so that the field's sqrt(r) is resolved.
+    """
+    rim = outline(rays)[np.r_[0:rays, 0]]
+    s = (np.arange(rings + 1) / rings) ** 2
+    side = side_of(rim)
+    side[0], side[-1] = -1, 1
+    points = TIP + s[:, None, None] * (rim - TIP)
+    u = phantom.motion_field.displacement(points.reshape(-1, 2), np.tile(side, rings + 1)).reshape(points.shape)
+
+    def triangles(x):
+        near, far = x[:-1], x[1:]
+        halves = (near[:, :-1], far[:, :-1], far[:, 1:]), (near[:, :-1], far[:, 1:], near[:, 1:])
+        return np.concatenate([np.stack(corners, axis=-2).reshape(-1, 3, 2) for corners in halves])
+
+    at_tip = slice(rings * rays, (rings + 1) * rays)    # second halves of the first ring, which have no area
+    return np.delete(triangles(points), at_tip, axis=0), np.delete(triangles(points + u), at_tip, axis=0)
