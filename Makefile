@@ -38,7 +38,7 @@ lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .
 
 docs: demo worked-case  ## write the generated page and pictures of docs/ again
-	$(BIN)/python -m xfemnav.pipeline.errordocs docs/errors.md
+	$(BIN)/python -m xfemnav.pipeline.errordocs > docs/errors.md
 	$(BIN)/python docs/pictures.py
 
 bench: $(INSTALLED)  ## measurements beside other programs

@@ -39,7 +39,7 @@ def blocks(page: str, language: str) -> list[str]:
 
 def test_page_of_errors_is_that_of_the_program():
     assert (ROOT / "docs/errors.md").read_text() == errordocs.page(), (
-        "write it again: python -m xfemnav.pipeline.errordocs docs/errors.md")
+        "write it again: python -m xfemnav.pipeline.errordocs > docs/errors.md")
 
 
 def test_every_code_has_a_group_and_a_sentence():

@@ -1,10 +1,7 @@
 """The page of error codes, `docs/errors.md`, written from the table that the program itself uses.
 
-    python -m xfemnav.pipeline.errordocs docs/errors.md
+    python -m xfemnav.pipeline.errordocs > docs/errors.md
 """
-
-import sys
-from pathlib import Path
 
 from xfemnav.errors import FAULTS, Fault
 
@@ -56,4 +53,4 @@ def section(code: str, fault: Fault) -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
+    print(page(), end="")
