@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import shapely
 from numba import njit
 from scipy.ndimage import map_coordinates
 
@@ -56,13 +57,15 @@ class PullBack:
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """An updated image: `updated` (n1, n2), its `cavity` (n1, n2) bool, and the `pull_back` that made it.
+    """An updated image: `updated` (n1, n2), its `cavity` and `vacated` (n1, n2) bool, and the `pull_back` that made it.
 
+    No tissue is left in either: the cavity lies inside the organ as it is now, the vacated pixels outside of it.
     `updated` is float32, or of the image's own type when its values were taken by nearest neighbour.
     """
 
     updated: np.ndarray
     cavity: np.ndarray
+    vacated: np.ndarray
     pull_back: PullBack
 
     @property
@@ -93,6 +96,15 @@ def covered(triangles, origin, spacing, shape) -> np.ndarray:
     return pull_back(triangles, triangles, origin, spacing, shape).tissue
 
 
+def enclosed(outline, origin, spacing, shape) -> np.ndarray:
+    """Pixels (n1, n2) bool whose centre is inside the closed loop `outline` (k, 2) mm; the grid as in `pull_back`."""
+    first, second = (o + h * np.arange(n) for o, h, n in zip(origin, spacing, shape))
+    x, y = np.meshgrid(first, second, indexing="ij")
+    organ = shapely.make_valid(shapely.Polygon(outline))
+    shapely.prepare(organ)
+    return shapely.contains_xy(organ, x, y)
+
+
 def sample(values, origin, spacing, points, interp: str = "linear") -> np.ndarray:
     """Values (...) of an image (n1, n2) at `points` (..., 2) mm; NaN points give NaN.
 
@@ -107,21 +119,24 @@ def sample(values, origin, spacing, points, interp: str = "linear") -> np.ndarra
 
 
 def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "linear", outside: str = "keep",
-           fill: float = 0.0) -> Update:
+           fill: float = 0.0, now=None) -> Update:
     """The image `values` (n1, n2) on its `origin` and `spacing` (2,) mm as it looks after the motion.
 
     `organ` (n1, n2) bool is the region of the organ at rest: rasterise the whole mesh with `covered`. The mask that the
     mesh was made from would not do, because pixels between its outline and the mesh's chords have no triangle and are
     no cavity; nor would the triangles that moved, because resected tissue has left one. A pixel of `organ` without
-    tissue is cavity and gets `fill`. Pixels with neither organ nor tissue are kept, or 0 with `outside="zero"`.
+    tissue gets `fill`. It is cavity if it lies in the organ as it is `now` (n1, n2) bool (by default everywhere), and
+    else vacated: there the outline has drawn back from the skull. Pixels with neither organ nor tissue are kept, or 0
+    with `outside="zero"`.
     """
     values = np.asarray(values)
     kept = {"keep": values, "zero": np.zeros_like(values)}[outside]
     updated = kept.astype(values.dtype if interp == "nearest" else np.float32)
-    cavity = organ & ~pull_back.tissue
-    np.putmask(updated, cavity, fill)
+    empty = organ & ~pull_back.tissue
+    np.putmask(updated, empty, fill)
+    cavity = empty if now is None else empty & now
     _sample_into(updated, values, origin, spacing, pull_back.resting, interp)
-    return Update(updated, cavity, pull_back)
+    return Update(updated, cavity, empty & ~cavity, pull_back)
 
 
 def _sample_into(out, values, origin, spacing, points, interp) -> None:

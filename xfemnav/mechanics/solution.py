@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 from scipy.sparse import csc_array, csr_array, eye_array
 from scipy.sparse.linalg import splu
 
@@ -38,7 +39,8 @@ class Solution:
 
     U (n_rows, 2) mm: coefficients of the basis; residual: relative; energy: strain energy, kPa mm^2 (per mm thick).
     Triangles of the cut organ, finer at the tips: rest (t, 3, 2) mm, moved (t, 3, 2) mm, the part (t,) of each,
-    strain (t, 3) xx, yy, xy, and det_F (t,), the ratio of moved to resting area.
+    strain (t, 3) xx, yy, xy, and det_F (t,), the ratio of moved to resting area. outline (k, 2) mm: the organ's moved
+    outline, a closed loop that bridges the mouths by straight lines.
     """
 
     U: np.ndarray
@@ -50,6 +52,7 @@ class Solution:
     body: np.ndarray
     strain: np.ndarray
     det_F: np.ndarray
+    outline: np.ndarray
     retractor: tuple[RetractorForce, ...]
     tips: tuple[FreeTip, ...]
     lip_error_rms_mm: float
@@ -63,6 +66,7 @@ class Solution:
             ("moved", (t, 3, 2)),
             ("strain", (t, 3)),
             ("det_F", (t,)),
+            ("outline", (None, 2)),
         ):
             object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
         for name in ("part", "body"):
@@ -125,6 +129,7 @@ def solve(problem: Problem) -> Solution:
         residual=residual,
         energy=energy,
         **_triangles(problem, U),
+        outline=_moved_outline(problem, U),
         retractor=_forces(problem, reaction, U),
         tips=free_tips(problem, U),
         **_lip_error(problem, U),
@@ -161,6 +166,17 @@ def _triangles(problem, U):
         "strain": strain,
         "det_F": det_F,
     }
+
+
+def _moved_outline(problem, U):
+    """Moved facets of the longest boundary loop, end to end; a straight line bridges each mouth."""
+    sub, mesh = problem.subcells, problem.mesh
+    ring = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
+    middles = shapely.points(sub.rim_ends.mean(axis=1))
+    own = shapely.distance(ring, middles) < 1e-6
+    order = np.flatnonzero(own)[np.argsort(shapely.line_locate_point(ring, middles[own]))]
+    ends = sub.rim_ends[order].reshape(-1, 2)
+    return ends + problem.space.basis_in(ends, np.repeat(sub.rim_part[order], 2)) @ U
 
 
 def _forces(problem, reaction, U):

@@ -88,7 +88,7 @@ def _mesh(panel, problem):
 def _updated(panel, slice, mask, update, grey):
     """Fig. 2 (d): the slice as it is now, in the grey window of (a): the organ and what has moved out of its mask."""
     panel.set_title("(d) updated slice, masked")
-    tissue = (mask | (update.field != 0).any(axis=2)) & ~update.cavity
+    tissue = (mask | (update.field != 0).any(axis=2)) & ~(update.cavity | update.vacated)
     _draw_grey(panel, slice, np.where(tissue, update.updated, np.nan), grey)
     if update.overlap.any():
         lines = [o + s * np.arange(n) for o, s, n in zip(slice.origin, slice.spacing, slice.values.shape)]

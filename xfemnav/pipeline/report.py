@@ -26,7 +26,8 @@ CHECKS = {  # name in run.json: (what it is, unit)
     "max_displacement_mm": ("largest displacement", "mm"),
     "inverted_mm2": ("tissue turned inside out (0 wanted; more than 1 is not trusted)", "mm²"),
     "det_F_p01": ("local change of area, 1 % quantile (1 is none, below 0 is inside out)", ""),
-    "cavity_mm2": ("cavity: pixels of the organ that hold no tissue now", "mm²"),
+    "cavity_mm2": ("cavity: pixels inside the moved outline that hold no tissue", "mm²"),
+    "vacated_mm2": ("vacated: pixels that the outline has drawn back from", "mm²"),
     "overlap_mm2": ("overlap: pixels that hold tissue twice (0 wanted)", "mm²"),
 }
 

@@ -226,14 +226,15 @@ def solve_publish(value, inputs, folder):
 def warp(params, inputs):
     """The slice after the cut: an Update."""
     from xfemnav.errors import warn
-    from xfemnav.imaging.warp import covered, pull_back, update
+    from xfemnav.imaging.warp import covered, enclosed, pull_back, update
 
     slice, _ = inputs.value("segment")
     solution, mesh = inputs.value("solve"), inputs.value("mesh")
     grid = slice.origin, slice.spacing, slice.values.shape
     motion = pull_back(solution.rest, solution.moved, *grid)
     updated = update(slice.values, *grid[:2], covered(mesh.corners, *grid), motion,
-                     interp=params.interp, outside=params.outside, fill=params.fill)
+                     interp=params.interp, outside=params.outside, fill=params.fill,
+                     now=enclosed(solution.outline, *grid))
     if updated.overlap.any():
         x, y = slice.pixel_centres()[updated.overlap].mean(axis=0)
         warn("W403", f"{updated.overlap.sum() * slice.spacing.prod():.3g} mm2 of tissue lie twice, about "
@@ -245,6 +246,7 @@ def warp_facts(value, inputs):
     slice, _ = inputs.value("segment")
     pixel = float(slice.spacing.prod())
     return {"checks": {"cavity_mm2": float(value.cavity.sum()) * pixel,
+                       "vacated_mm2": float(value.vacated.sum()) * pixel,
                        "overlap_mm2": float(value.overlap.sum()) * pixel}}
 
 
