@@ -119,7 +119,7 @@ def _lips(asked):
 def _outcome(run):
     checks = run["checks"]
     return (f"The tissue moved by at most {checks['max_displacement_mm']:.2f} mm, the opened cavity measured "
-            f"{checks['cavity_mm2']:.0f} mm², and {checks['inverted_mm2']:.2g} mm² of tissue was inverted.")
+            f"{checks['cavity_mm2']:.0f} mm², and {checks['inverted_mm2']:.2f} mm² of tissue was inverted.")
 
 
 def _image(asked):
