@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.flags import FLAG_OF, FLAGS, PATHS, add_flags, confined, numbers
+from xfemnav.pipeline.flags import FLAG_OF, FLAGS, PATHS, add_flags, confined, numbers, printed
 
 if TYPE_CHECKING:
     from xfemnav.pipeline.scenario import Scenario
@@ -146,7 +146,7 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     flags = dict(flags or {})
     found = add_flags(raw, flags)
     if image is not None:
-        flags["image"] = raw["image"] = str(image)
+        flags["image"], raw["image"] = image, printed(image)
     files |= {place: Path(flags[name]) for name, place in (("image", "image"), *FLAGS.items())
               if place in PATHS and flags.get(name) is not None}
     if "image" not in files:

@@ -27,10 +27,7 @@ def write_vtu(path: Path, points, cells, point_data: dict | None = None, cell_da
 
 
 def read_vtu(path: Path, code: str):
-    """The meshio mesh in a VTU file, and its triangles. Raises E100, and the error `code` when it is none.
-
-    meshio ends the program on bad files (SystemExit): that is caught here.
-    """
+    """The meshio mesh in a VTU file, and its triangles. Raises E100, and the error `code` when it is none."""
     import meshio
 
     if not path.is_file():
@@ -39,9 +36,9 @@ def read_vtu(path: Path, code: str):
     if b"<VTKFile" not in head or b"<!" in head.replace(b"<!--", b""):
         raise XfemnavError(code, f"{path.name} is no VTU file. Write it as VTU, for instance with meshio or ParaView.")
     try:
-        mesh = meshio.read(path, file_format="vtu")
+        mesh = meshio.vtu.read(path)  # meshio.read would print, and end the program
         triangles = mesh.get_cells_type("triangle")
-    except (SystemExit, meshio.ReadError, ParseError, ValueError, LookupError, TypeError, AttributeError, OSError,
+    except (meshio.ReadError, ParseError, ValueError, LookupError, TypeError, AttributeError, OSError,
             AssertionError, zlib.error, MemoryError) as error:
         raise XfemnavError(code, f"{path.name} is a damaged VTU file ({type(error).__name__}: {error}). "
                                  "Write it again.") from None

@@ -128,10 +128,15 @@ def tables(raw: dict, name: str) -> list[dict]:
 def _plain(place: str, value):
     """A flag's value as TOML would give it."""
     if place in PATHS:
-        return str(value)
+        return printed(value)
     if place == "spacing" and isinstance(value, str):
         return numbers(value) or value
     return value
+
+
+def printed(path) -> str:
+    """A path as text: bytes that are no UTF-8 become escapes."""
+    return str(path).encode(errors="backslashreplace").decode()
 
 
 def _is_empty(value) -> bool:
