@@ -158,6 +158,18 @@ def test_narrow_fjord_is_not_bridged(width):
     assert_allclose(mesh.areas.sum(), shapely.Polygon(outline).area, rtol=0.02)
 
 
+@pytest.mark.parametrize("width", [0.3, 0.1])
+def test_shores_of_a_slit_never_cross(width):
+    """Nodes that slide along both shores of a crooked slit far thinner than the elements leave the boundary simple."""
+    x = np.linspace(-10, 60, 60)
+    for bend in (3.0, 5.0, 7.0):
+        slit = shapely.LineString(np.stack([x, 4 * np.sin(x / bend)], axis=1)).buffer(width / 2)
+        outline = shapely.get_coordinates(shapely.Polygon(disc(40, 90)).difference(slit).exterior)[:-1]
+        mesh = distmesh(outline, 5.0)
+        assert shapely.Polygon(mesh.points[mesh.boundary_loops[0]]).is_valid
+        assert_disc(mesh)
+
+
 def test_detail_too_fine_is_refused_with_its_place():
     with pytest.raises(XfemnavError, match=r"E208 .*near \(-?[0-3]?[0-9]\.\d, -?0\.\d\) mm"):
         distmesh(dumbbell(0.05), 6.0)
@@ -174,6 +186,14 @@ def test_sizes_that_do_not_fit_are_refused_at_once(h, hint):
     with pytest.raises(XfemnavError, match=f"E207 .*{hint}"):
         distmesh(disc(), h)
     assert time.perf_counter() - start < 5  # no mesh was begun: that would take minutes and gigabytes
+
+
+def test_nodes_that_no_estimate_foresaw_are_refused(monkeypatch):
+    """A focus of 1e-6 mm between the points where the estimate samples the size: it misses most of the nodes there."""
+    size = SizeField(10.0, focus=(((0.2, 0.1), 1e-6),))
+    monkeypatch.setattr("xfemnav.geometry.distmesh.MOST_NODES", int(expected_nodes(disc(), size)) + 1)
+    with pytest.raises(XfemnavError, match=r"E207 .*steeper growth"):
+        distmesh(disc(), size)
 
 
 @pytest.mark.parametrize("outline", [[[0, 0], [2, 2], [2, 0], [0, 2]], [[0, 0], [1, 1]], [[0, 0], [1, 0], [np.nan, 1]],

@@ -35,16 +35,16 @@ class Triangulation(NamedTuple):
 def square(low: np.ndarray, high: np.ndarray, capacity: int) -> Triangulation:
     """Two cells over a square far around the box `low`, `high` (2,) mm, with room for `capacity` nodes."""
     centre, reach = (low + high) / 2, 8 * float(np.max(high - low))
-    points = np.empty((capacity + 4, 2))
+    n, m = capacity + 4, 2 * (capacity + 4)
+    points, cells, across = np.empty((n, 2)), np.empty((m, 3), np.int64), np.empty((m, 3), np.int64)
     # Turned by an odd angle: no edge of the square is parallel to a rectangular outline.
     turn = 0.37 + np.pi / 2 * np.arange(4)
     points[:4] = centre + reach * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    n_cells = 2 * (capacity + 4)
-    cells, across = np.full((n_cells, 3), -1), np.full((n_cells, 3), -1)
-    cells[:2], across[0, 1], across[1, 2] = [[0, 1, 2], [0, 2, 3]], 1, 0
+    cells[:2], across[:2] = [[0, 1, 2], [0, 2, 3]], [[-1, 1, -1], [-1, -1, 0]]
+    # Zeros and empties cost nothing until they are written, so that room for many nodes is free.
     return Triangulation(
-        points, np.zeros(len(points)), cells, across, np.zeros(n_cells, np.int8),
-        np.zeros(len(points), np.int64), np.full(n_cells, -1), np.full(len(points), -1), np.array([4, 2, 0, 0]),
+        points, np.zeros(n), cells, across, np.zeros(m, np.int8), home=np.zeros(n, np.int64),
+        stamp=np.zeros(m, np.int64), slot=np.zeros(n, np.int64), count=np.array([4, 2, 0, 0]),
     )
 
 

@@ -112,7 +112,7 @@ def _outline_triangulation(outline, size_at) -> tuple[Triangulation, Rail, np.nd
         )
     rail = outline_nodes(outline, size_at)
     nodes = rail_nodes(rail)
-    T = square(outline.min(axis=0), outline.max(axis=0), int(1.5 * expected) + 4 * len(nodes) + 1000)
+    T = square(outline.min(axis=0), outline.max(axis=0), MOST_NODES + len(nodes))
     placed = insert(T, nodes, np.zeros(len(nodes)), np.full(len(nodes), -1), 0.0, 0.0)
     there = mark_inside(T, 4, len(nodes)) if (placed >= 0).all() else placed >= 0
     T.sizes[4 : 4 + len(nodes)] = size_at(nodes)
@@ -179,7 +179,7 @@ def _fill_holes(T, size_at):
 def _relaxed(T, rail, size_at) -> Mesh:
     """The inside cells, relaxed in cycles of truss and optimal Delaunay steps; then the worst stars."""
     if T.count[0] == len(T.points):
-        raise XfemnavError("E207", f"the mesh has more than {len(T.points)} nodes; use a larger element size")
+        raise XfemnavError("E207", f"the mesh has over {MOST_NODES} nodes; use larger elements or a steeper growth")
     n_cells = T.count[1]
     kept = T.inside[:n_cells] == 1
     number = np.full(n_cells + 1, -1)
