@@ -51,8 +51,8 @@ def run():
     inward = rest + 1e-6 * (rest.mean(axis=1, keepdims=True) - rest)
     solution = SimpleNamespace(rest=rest, moved=rest + opened(inward.reshape(-1, 2)).reshape(rest.shape))
     cavity = mask & (np.abs(first) < 3) & (second > 25)
-    update = SimpleNamespace(updated=np.where(cavity, 900, values), cavity=cavity, vacated=np.zeros_like(mask),
-                             overlap=np.zeros_like(mask),
+    nowhere = np.zeros_like(mask)
+    update = SimpleNamespace(updated=np.where(cavity, 900, values), cavity=cavity, vacated=nowhere, overlap=nowhere,
                              field=np.zeros((*mask.shape, 2)))
     return plane, mask, problem, solution, update
 

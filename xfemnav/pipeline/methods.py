@@ -30,6 +30,7 @@ TIPS = {
 }
 LIPS = {
     "mortar": "by Lagrange multipliers along the held part of each lip (mortar)",
+    "nitsche": "weakly along the held part of each lip (Nitsche's method)",
     "pointwise": "at every crossing of the cut with a mesh edge, as in [1]",
 }
 SKULLS = {"fixed": "The outline was fixed", "sliding": "The outline slid along the skull without friction"}

@@ -57,6 +57,7 @@ def render(run: dict, figure: bytes | None) -> str:
         checks=[(what, unit, shown(run["checks"][name])) for name, (what, unit) in CHECKS.items()],
         warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
         retractors=[retractor_row(each) for each in run["retractor"]],
+        tips=[tip_row(each) for each in run["tips"]],
         parameters=list(flat(run["parameters"])),
         input=list(flat(run["input"])),
         outputs=run["outputs"],
@@ -78,6 +79,13 @@ def retractor_row(retractor: dict) -> dict:
         "kpa": f"{pressure:.3f}",
         "mmhg": f"{pressure * MMHG_PER_KPA:.1f}",
     }
+
+
+def tip_row(tip: dict) -> dict:
+    """A row of the table of tips: where, and the two stress intensity factors in Pa sqrt(m)."""
+    x, y = tip["point_mm"]
+    opening, shearing = (f"{tip[name]:.1f}" for name in ("K_I_Pa_sqrt_m", "K_II_Pa_sqrt_m"))
+    return {"cut": tip["cut"], "place": f"({x:.1f}, {y:.1f})", "opening": opening, "shearing": shearing}
 
 
 def flat(value, name: str = ""):
