@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import Delaunay
 
-from data_synthetic.domains import area, disc
+from data_synthetic.domains import area, disc, gyrated
 from xfemnav.geometry.mesh import orient
-from xfemnav.imaging.warp import covered, pull_back, sample, update
+from xfemnav.imaging.warp import covered, enclosed, pull_back, sample, update
 
 # Pixel centres over [-30, 30] x [-40, 40] mm.
 ORIGIN, SPACING, SHAPE = np.array([-30.0, -40.0]), np.array([1.0, 0.8]), (61, 101)
@@ -136,6 +136,37 @@ def test_slivers_between_mask_and_mesh_are_no_cavity():
     result = update(image, ORIGIN, SPACING, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, rest))
     assert not result.cavity.any()
     assert_array_equal(result.updated, image.astype(np.float32))
+
+
+def test_an_outline_encloses_what_its_triangles_cover():
+    for loop in (disc(24.0, 37, centre=(3.3, -2.1)), gyrated(20.0, 5.0, 7, 300) + np.array([25.0, 0.3])):
+        middle = loop.mean(axis=0)
+        fan = np.stack([np.broadcast_to(middle, loop.shape), loop, np.roll(loop, -1, axis=0)], axis=1)
+        assert_array_equal(enclosed(loop, ORIGIN, SPACING, SHAPE), covered(fan, ORIGIN, SPACING, SHAPE))
+        assert_array_equal(enclosed(loop[::-1], ORIGIN, SPACING, SHAPE), enclosed(loop, ORIGIN, SPACING, SHAPE))
+
+
+def test_a_loop_that_crosses_itself_encloses_what_it_goes_around_once():
+    bow_tie = np.array([[-20.5, -20.2], [20.5, 20.2], [20.5, -20.2], [-20.5, 20.2]])
+    x, y = np.moveaxis(centres(), -1, 0)
+    inside = (np.abs(x) < 20.5) & (np.abs(y) < np.abs(x) * 20.2 / 20.5)
+    assert_array_equal(enclosed(bow_tie, ORIGIN, SPACING, SHAPE), inside)
+
+
+def test_what_the_outline_draws_back_from_is_vacated_and_no_cavity():
+    rest, moved, gap = wedge(6.0)
+    rim = disc(24.0, 96)
+    rim[:, 0] += 3.0 * np.sign(rim[:, 0]) * np.clip(rim[:, 1], 0, None) / 24
+    now = np.concatenate([rim[:24], gap[1:], rim[25:]])    # corner 24 is the mouth: two ends and a straight bridge
+    shrink = np.array([1.0, 0.9])
+    moved, now = moved * shrink, now * shrink
+    result = update(np.ones(SHAPE), ORIGIN, SPACING, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, moved),
+                    now=enclosed(now, ORIGIN, SPACING, SHAPE), fill=-1)
+    y = centres()[..., 1]
+    assert not (result.cavity & result.vacated).any()
+    assert not result.cavity[(y < 0) | (y > 21.7)].any() and result.vacated[y < -21.7].any()
+    assert result.cavity.sum() * 0.8 == pytest.approx(area(gap) * 0.9, abs=0.5 * 48)    # half a pixel along the lips
+    assert (result.updated[result.cavity | result.vacated] == -1).all()
 
 
 def test_resected_tissue_leaves_a_cavity_that_moves_with_the_rest():

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import shapely
 from numba import njit
 from scipy.ndimage import map_coordinates
 
@@ -97,12 +96,11 @@ def covered(triangles, origin, spacing, shape) -> np.ndarray:
 
 
 def enclosed(outline, origin, spacing, shape) -> np.ndarray:
-    """Pixels (n1, n2) bool whose centre is inside the closed loop `outline` (k, 2) mm; the grid as in `pull_back`."""
-    first, second = (o + h * np.arange(n) for o, h, n in zip(origin, spacing, shape))
-    x, y = np.meshgrid(first, second, indexing="ij")
-    organ = shapely.make_valid(shapely.Polygon(outline))
-    shapely.prepare(organ)
-    return shapely.contains_xy(organ, x, y)
+    """Pixels (n1, n2) bool whose centre is inside the closed loop `outline` (k, 2) mm; the grid as in `pull_back`.
+
+    Where a loop crosses itself, inside is what it goes around an odd number of times.
+    """
+    return _fill((np.asarray(outline, float) - origin) / spacing, *shape)
 
 
 def sample(values, origin, spacing, points, interp: str = "linear") -> np.ndarray:
@@ -182,6 +180,23 @@ def _nearest(out, values, points, origin, spacing):
         x, y = (points[k, 0] - origin[0]) / spacing[0], (points[k, 1] - origin[1]) / spacing[1]
         if x == x:
             out[k] = values[int(min(max(x + 0.5, 0.0), n1 - 1.0)), int(min(max(y + 0.5, 0.0), n2 - 1.0))]
+
+
+@njit(cache=True)
+def _fill(loop, n1, n2):
+    """Even-odd rule: each edge of `loop` (k, 2) pixels that crosses a row turns over the pixels beyond the crossing."""
+    inside = np.zeros((n1, n2 + 1), np.bool_)
+    for k in range(len(loop)):
+        a, b = loop[k - 1], loop[k]
+        low, high = (a, b) if a[0] < b[0] else (b, a)
+        for i in range(max(int(np.ceil(low[0])), 0), min(int(np.ceil(high[0])), n1)):
+            at = low[1] + (i - low[0]) / (high[0] - low[0]) * (high[1] - low[1])
+            j = int(min(max(np.ceil(at), 0), n2))
+            inside[i, j] = not inside[i, j]
+    for i in range(n1):
+        for j in range(1, n2):
+            inside[i, j] ^= inside[i, j - 1]
+    return inside[:, :n2]
 
 
 @njit(cache=True)
