@@ -1,0 +1,258 @@
+"""The command itself: exit codes, what is printed where, signals, concurrency, a full disk, and the small commands."""
+
+import errno
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import jsonschema
+import pytest
+from small import CUT, OPEN, QUICK, write, xfemnav
+from xfemnav_cli.telling import printable
+
+from xfemnav.pipeline import disk, stages
+from xfemnav.pipeline.runfile import run_schema
+from xfemnav.pipeline.scenario import problems
+
+XFEMNAV = [sys.executable, "-c", "from xfemnav_cli.main import main; main()"]
+
+
+@pytest.fixture
+def head(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XFEMNAV_CACHE", str(tmp_path / "cache"))
+    return write(tmp_path / "head.nii.gz")
+
+
+def command(head, *more):
+    return ["run", str(head), *QUICK, "--cut", CUT, *OPEN, *more]
+
+
+def outputs(folder):
+    """Bytes of every file that run.json names."""
+    record = json.loads((folder / "run.json").read_text())
+    jsonschema.validate(record, run_schema())
+    return {role: (folder / name).read_bytes() for role, name in record["outputs"].items()}
+
+
+# What is said, and where --------------------------------------------------------------------------------------------
+
+def test_help_imports_no_numerics_and_no_schema():
+    code = ("import sys; sys.argv = ['xfemnav', 'run', '--help']\nfrom xfemnav_cli.main import main\n"
+            "try: main()\nexcept SystemExit: pass\n"
+            "heavy = {'numpy', 'scipy', 'pydantic', 'nibabel', 'matplotlib', 'rich', 'jinja2'} & set(sys.modules)\n"
+            "assert not heavy, heavy")
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert "--tip-enrichment" in done.stdout
+
+
+def test_a_cached_run_imports_no_numerics(head, capfd):
+    assert xfemnav(capfd, *command(head))[0] == 0
+    code = (f"import sys; sys.argv = {['xfemnav', *command(head)]!r}\nfrom xfemnav_cli.main import main\n"
+            "try: main()\nexcept SystemExit as end: assert end.code == 0\n"
+            "heavy = {'numpy', 'scipy', 'nibabel', 'matplotlib', 'numba'} & set(sys.modules)\nassert not heavy, heavy")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.count(" cached ") == 5, done.stderr
+
+
+def test_stdout_has_one_line_a_stage_and_the_place_of_the_results(head, capfd):
+    code, stdout, _ = xfemnav(capfd, *command(head))
+    lines = stdout.splitlines()
+    assert code == 0 and [line.split()[:2] for line in lines[:5]] == [
+        [name, "ran"] for name in ("segment", "mesh", "constrain", "solve", "warp")]
+    assert lines[5].split() == ["results", "head_xfemnav"] and len(lines) == 6
+
+
+def test_json_is_alone_on_stdout_and_quiet_says_nothing(head, capfd):
+    code, stdout, stderr = xfemnav(capfd, *command(head, "--json"))
+    assert code == 0 and json.loads(stdout)["status"] == "complete" and "segment" in stderr
+    assert xfemnav(capfd, *command(head, "-q"))[1:] == ("", "")
+    code, stdout, stderr = xfemnav(capfd, *command(head, "--json", "--poisson", "0.5"))
+    assert code == 65 and json.loads(stdout)["error"]["code"] == "E404" and stderr.splitlines()[-1].startswith("E404 ")
+
+
+def test_usage_errors_are_exit_2(head, capfd):
+    for wrong in (["run", "--no-such"], ["nothing"], ["run", str(head), "--slice", "x"], ["run", "--skull", "y"]):
+        code, stdout, stderr = xfemnav(capfd, *wrong)
+        assert code == 2 and "Usage" in stderr and stdout == ""
+
+
+def test_a_bug_is_told_as_one(head, capfd, monkeypatch):
+    def broken(value, inputs):
+        raise RuntimeError("wrong\x1b[31m")
+
+    monkeypatch.setitem(stages.STAGES, "mesh", replace(stages.STAGES["mesh"], facts=broken))
+    code, _, stderr = xfemnav(capfd, *command(head))
+    assert code == 70 and stderr.startswith("E900 ") and "Traceback" not in stderr and "\x1b" not in stderr
+    record = json.loads((head.parent / "head_xfemnav" / "run.json").read_text())
+    jsonschema.validate(record, run_schema())
+    assert record["status"] == "failed" and record["exit_code"] == 70
+    assert "Traceback" in xfemnav(capfd, *command(head, "-vv"))[2]
+
+
+def test_reader_that_goes_away_is_no_traceback(head):
+    process = subprocess.Popen([*XFEMNAV, "schema"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    assert b"Traceback" not in process.stderr.read()
+    process.stderr.close()
+    process.wait()
+
+
+def test_printable_keeps_a_message_on_one_line():
+    assert printable("a\nb\x1b[31m\udcff ü") == "a\\nb\\x1b[31m\\udcff ü"
+
+
+# Stopped, crowded out, out of room ----------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("signum, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupted_run_says_so_and_goes_on_from_there(head, capfd, signum, code):
+    process = subprocess.Popen([*XFEMNAV, *command(head)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline().startswith("segment")
+    process.send_signal(signum)
+    _, stderr = process.communicate(timeout=60)
+    record = json.loads((head.parent / "head_xfemnav" / "run.json").read_text())
+    jsonschema.validate(record, run_schema())
+    assert process.returncode == code == record["exit_code"] and record["status"] == "interrupted"
+    assert "Traceback" not in stderr and record["outputs"] == {}
+    again, stdout, _ = xfemnav(capfd, *command(head))
+    assert again == 0 and stdout.splitlines()[0].split()[1] == "cached"
+
+
+def test_two_runs_in_one_folder_wait_for_each_other(head):
+    pair = [subprocess.Popen([*XFEMNAV, *command(head, "--fill", fill)], stdout=subprocess.DEVNULL,
+                             stderr=subprocess.PIPE, text=True) for fill in "12"]
+    texts = [process.communicate(timeout=120)[1] for process in pair]
+    assert [process.returncode for process in pair] == [0, 0], texts
+    assert sum("waiting" in text for text in texts) <= 1
+    assert len(outputs(head.parent / "head_xfemnav")) == 7
+
+
+def chaos(head, capfd, kills):
+    """Two runs at once, both killed at random moments, over and over: whatever is left is whole and true."""
+    out = head.parent / "head_xfemnav"
+    start = time.monotonic()
+    assert xfemnav(capfd, *command(head))[0] == 0
+    truth = outputs(out)
+    warm = time.monotonic() - start
+    rng = random.Random(5)
+    for n in range(kills // 2):
+        if n % 3 == 0:
+            shutil.rmtree(head.parent / "cache", ignore_errors=True)
+        pair = [subprocess.Popen([*XFEMNAV, *command(head)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                for _ in range(2)]
+        time.sleep(rng.uniform(0.2, 1.0) * max(1.0, min(warm, 2.0)))
+        for process in pair:
+            process.kill()
+            process.wait()
+        left = outputs(out)
+        assert left in ({}, truth)
+        assert all((out / path.name).read_bytes() in truth.values() for path in out.glob("[!.]*.gz"))
+    assert xfemnav(capfd, *command(head))[0] == 0 and outputs(out) == truth
+    assert not list(out.glob(".*"))  # the last run removed what the killed ones left
+
+
+def test_killed_runs_leave_nothing_wrong(head, capfd):
+    chaos(head, capfd, 20)
+
+
+@pytest.mark.slow
+def test_killed_runs_leave_nothing_wrong_200_times(head, capfd):
+    chaos(head, capfd, 200)
+
+
+def test_full_disk_at_any_write_is_one_error_and_resumable(head, capfd, monkeypatch):
+    """Row 40: the n-th fsync finds no space, for n = 1, 4, 7, ... until a run gets through."""
+    real, countdown = os.fsync, [0]
+
+    def fsync(handle):
+        countdown[0] -= 1
+        if countdown[0] == 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(handle)
+
+    monkeypatch.setattr(disk.os, "fsync", fsync)
+    out, failures = head.parent / "head_xfemnav", 0
+    for n in range(1, 400, 3):
+        countdown[0] = n
+        code, _, stderr = xfemnav(capfd, *command(head))
+        if code == 0:
+            break
+        assert code == 74 and stderr.splitlines()[-1].startswith("E501 "), stderr
+        assert not (out / "run.json").exists() or outputs(out) == {}
+        failures += 1
+    assert failures > 5 and len(outputs(out)) == 7
+
+
+def test_unwritable_cache_is_a_warning_and_unwritable_output_an_error(head, capfd):
+    """Row 45; a file in the way, because root may write anywhere."""
+    blocked = head.parent / "blocked"
+    blocked.write_text("")
+    code, _, stderr = xfemnav(capfd, *command(head, "-w", str(blocked / "cache")))
+    assert code == 0 and "W602 " in stderr
+    code, _, stderr = xfemnav(capfd, *command(head, "-o", str(blocked / "out")))
+    assert code == 73 and stderr.startswith("E502 ")
+
+
+# The other commands -------------------------------------------------------------------------------------------------
+
+def test_stage_commands_end_after_their_stage(head, capfd):
+    base = [str(head), "-o", "part"]
+    mesh = [*base, "--element-size-mm", "8", "--corridor-element-mm", "4", "--cut", CUT]
+    for stage, arguments, roles in (("segment", base, {"mask"}), ("mesh", mesh, {"mask", "mesh"}),
+                                    ("constrain", [*mesh, *OPEN], {"mask", "mesh"}),
+                                    ("solve", [*mesh, *OPEN], {"mask", "mesh", "solution"})):
+        code, stdout, stderr = xfemnav(capfd, stage, *arguments)
+        assert code == 0 and stdout.splitlines()[-2].startswith(stage), stderr
+        assert outputs(head.parent / "part").keys() == roles
+
+
+def test_cache_can_be_listed_verified_and_pruned(head, capfd):
+    xfemnav(capfd, *command(head))
+    code, stdout, _ = xfemnav(capfd, "cache", "ls")
+    assert code == 0 and stdout.splitlines()[-1].startswith("6 entries")  # the input's digest and five stages
+    assert xfemnav(capfd, "cache", "verify")[0] == 0
+    victim = sorted((head.parent / "cache" / "entries").glob("*/*/facts.json"))[0]
+    victim.write_bytes(victim.read_bytes() + b" ")
+    code, stdout, _ = xfemnav(capfd, "cache", "verify")
+    assert code == 65 and "1 were damaged" in stdout
+    assert xfemnav(capfd, "cache", "prune")[0] == 0 and len(list((head.parent / "cache").rglob("facts.json"))) == 5
+    assert xfemnav(capfd, "cache", "prune", "--days", "0")[0] == 0
+    assert not list((head.parent / "cache").rglob("facts.json"))
+
+
+def test_check_lists_every_problem(head, capfd):
+    path = head.parent / "case.toml"
+    path.write_text('xfemnav = 1\nimage = "head.nii.gz"\n[[cut]]\npoints = [[0, 0], [1, 1]]\n')
+    assert xfemnav(capfd, "check", path) == (0, f"{path}: no problem found\n", "")
+    path.write_text('xfemnav = 2\nimage = "no.nii"\nspace = "mni"\n[meshh]\n')
+    code, stdout, _ = xfemnav(capfd, "check", path)
+    assert code == 78 and len(stdout.splitlines()) == 4
+
+
+def test_schemas_are_schemas(capfd):
+    for which in ("scenario", "run"):
+        code, stdout, _ = xfemnav(capfd, "schema", which)
+        assert code == 0
+        jsonschema.Draft202012Validator.check_schema(json.loads(stdout))
+    asked = {"xfemnav": 1, "image": "a.nii", "cut": [{"points": [[0, 0], [1, 1]]}]}
+    schema = json.loads(xfemnav(capfd, "schema")[1])
+    jsonschema.validate(asked, schema)
+    assert problems(asked) == []
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(asked | {"spase": "ras"}, schema)
+
+
+def test_demo_runs_the_papers_experiment(head, capfd):
+    code, stdout, stderr = xfemnav(capfd, "demo", "-o", "demo", "--no-report", "--element-size-mm", "6",
+                                   "--corridor-element-mm", "3", "--json")
+    record = json.loads(stdout)
+    assert code == 0 and record["slice"]["offset"] == 18.0 and record["parameters"]["cut"][0]["points"] == [
+        [-54.7, 41.5], [-22.0, 18.0]], stderr
+    assert [item["displacement_mm"] for item in record["parameters"]["retract"]] == [[3.5, 1.0], [-3.5, -1.0]]
+    assert 100 < record["checks"]["cavity_mm2"] < 300  # two parallel lips 5.7 mm apart over 38 mm, closing at the tip
