@@ -15,7 +15,8 @@ from matplotlib.patheffects import withStroke
 
 from xfemnav.pipeline.disk import write_atomic
 
-PANEL_IN, DPI = 4.1, 150     # width of a panel, and dots an inch
+PANEL_IN, DPI = 4.0, 140     # width of a panel, and dots an inch
+TITLE_IN, GAP_IN, FOOT_IN = 0.35, 0.12, 0.75  # above each row, between panels, below the last row
 INSET, INSET_CELLS = 0.36, 6  # panel (e)'s inset: its size as a part of the panel, and how many cells it is wide
 MARGIN_MM = 10.0             # shown around the organ, and around the cuts in the close view
 CUT, HEAVISIDE, TIP, OVERLAP = "#ffd21f", "#0b62a8", "#d1410c", "#ff3030"
@@ -34,10 +35,7 @@ def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
         matplotlib.rcdefaults()
         whole = _box_of_organ(slice, mask)
         close = _box_of_cuts(problem.cuts, whole)
-        width, height = whole[1] - whole[0]
-        size = (3 * PANEL_IN, 2 * PANEL_IN * np.clip(height / width, 0.6, 1.5) + 1.4)
-        figure = Figure(size, DPI, layout="constrained")
-        a, b, c, d, e, f = figure.subplots(2, 3).ravel()
+        figure, (a, b, c, d, e, f) = _panels(*(whole[1] - whole[0]))
         grey = _window(slice, mask)
         _preoperative(a, slice, problem, grey)
         _mask(b, slice, mask, problem)
@@ -47,14 +45,24 @@ def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
         _displacement(f, solution)
         for panel, ink in zip((a, b, c, d, e, f), ("white", "white", "black", "white", "black", "black")):
             box = close if panel is e else whole
-            panel.set(xlim=box[:, 0], ylim=box[:, 1], xticks=[], yticks=[], aspect="equal", anchor="N")
+            panel.set(xlim=box[:, 0], ylim=box[:, 1], aspect="equal")
             _letters(panel, slice, ink)
             _scale_bar(panel, box, ink)
-        figure.supxlabel(_caption(slice), fontsize=9)
+        figure.text(0.5, 0.15 / figure.get_figheight(), _caption(slice), ha="center", fontsize=9)
         png = BytesIO()
-        figure.savefig(png, format="png", metadata={"Software": None})
+        figure.savefig(png, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 3})
     write_atomic(path, png.getvalue())
     return path
+
+
+def _panels(width, height):
+    """A figure with six panels, two rows of three, that show a field of `width` by `height` mm each."""
+    panel = PANEL_IN, PANEL_IN * height / width
+    size = np.array([3 * panel[0] + 4 * GAP_IN, 2 * (panel[1] + TITLE_IN) + FOOT_IN])
+    figure = Figure(size, DPI)
+    places = [(GAP_IN + column * (panel[0] + GAP_IN), FOOT_IN + row * (panel[1] + TITLE_IN))
+              for row in (1, 0) for column in range(3)]
+    return figure, [figure.add_axes([*(place / size), *(panel / size)], xticks=[], yticks=[]) for place in places]
 
 
 # The panels ----------------------------------------------------------------------------------------------------------
@@ -149,7 +157,7 @@ def _displacement(panel, solution):
     triangles = np.arange(len(corners)).reshape(-1, 3)
     colours = panel.tripcolor(*corners.T, moved, triangles=triangles, shading="gouraud", vmin=0)
     scale = panel.inset_axes([0.15, -0.04, 0.7, 0.025])
-    panel.set_xlabel("mm", labelpad=18, loc="right")
+    panel.text(0.87, -0.04, "mm", transform=panel.transAxes, va="bottom")
     panel.figure.colorbar(colours, cax=scale, orientation="horizontal")
 
 
@@ -233,9 +241,12 @@ def _window(slice, mask) -> tuple[float, float]:
 
 
 def _box_of_organ(slice, mask):
-    """Corners (2, 2) mm of the part of the slice to show."""
+    """Corners (2, 2) mm of the part to show: the organ and its margin, no side shorter than .6 of the other."""
     pixels = np.argwhere(mask)
-    return slice.origin + slice.spacing * [pixels.min(axis=0), pixels.max(axis=0)] + [[-MARGIN_MM], [MARGIN_MM]]
+    low, high = slice.origin + slice.spacing * [pixels.min(axis=0), pixels.max(axis=0)] + [[-MARGIN_MM], [MARGIN_MM]]
+    middle, half = (low + high) / 2, (high - low) / 2
+    half = np.maximum(half, 0.6 * half.max())
+    return np.array([middle - half, middle + half])
 
 
 def _box_of_cuts(cuts, whole):
