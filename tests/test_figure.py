@@ -116,6 +116,15 @@ def test_close_view_holds_every_cut_in_the_shape_of_the_whole():
     assert figure._box_of_cuts([], whole) is whole
 
 
+def test_inset_keeps_away_from_every_cut():
+    box = np.array([[0.0, 0.0], [100.0, 100.0]])
+    upper_left, lower_right = cut((10, 90), (30, 70)), cut((70, 20), (90, 30))
+    x, y = figure._emptiest_corner(box, [upper_left, cut((60, 90), (90, 60)), lower_right])
+    assert x < 0.5 and y < 0.5
+    x, y = figure._emptiest_corner(box, [upper_left, cut((10, 30), (30, 10)), lower_right])
+    assert x > 0.5 and y > 0.5
+
+
 def test_grey_window_reaches_below_zero_only_for_images_that_do(run):
     plane, mask = run[:2]
     assert figure._window(plane, mask)[0] == 0

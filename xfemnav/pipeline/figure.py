@@ -113,7 +113,7 @@ def _enrichment(panel, problem, box):
         _name_lips(panel, cut, 24, "black", "white")
     zoom = INSET * width / (INSET_CELLS * h)
     for cut in problem.cuts[:1] if zoom > 2 else ():
-        inset = panel.inset_axes([*_emptiest_corner(box, cut.path), INSET, INSET], xticks=[], yticks=[], zorder=6)
+        inset = panel.inset_axes([*_emptiest_corner(box, problem.cuts), INSET, INSET], xticks=[], yticks=[], zorder=6)
         _draw_enriched(inset, problem, zoom * h * PANEL_IN / width)
         low, high = cut.path[-1] + np.outer([-0.5, 0.5], INSET * np.ptp(box, axis=0) / zoom)
         inset.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
@@ -140,12 +140,13 @@ def _draw_enriched(panel, problem, cell_in):
     panel.plot(*mesh.points[K].T, marker="s", mec=TIP, label=f"set K: {len(K)} nodes, $F_1$..$F_4$ (Eq. 3)", **style)
 
 
-def _emptiest_corner(box, path):
-    """Lower left corner, as fractions of `box`, of the inset in that corner of the box that is farthest from `path`."""
-    places = np.array([(x, y) for x in (0.01, 0.99 - INSET) for y in (0.07, 0.99 - INSET)])
+def _emptiest_corner(box, cuts):
+    """Lower left corner, as fractions of `box`, of the inset's place that is farthest from all cuts."""
+    places = np.array([(x, y) for x in (0.01, 0.99 - INSET) for y in (0.15, 0.99 - INSET)])  # .15: above the scale bar
     centres = box[0] + (places + INSET / 2) * (box[1] - box[0])
-    along = path[:-1, None] + np.linspace(0, 1, 20)[:, None] * np.diff(path, axis=0)[:, None]
-    distance = np.linalg.norm(centres[:, None] - along.reshape(-1, 2), axis=2).min(axis=1)
+    along = [start + t * (end - start) for cut in cuts for start, end in zip(cut.path, cut.path[1:])
+             for t in np.linspace(0, 1, 20)]
+    distance = np.linalg.norm(centres[:, None] - along, axis=2).min(axis=1)
     return places[np.argmax(distance)]
 
 
