@@ -131,6 +131,7 @@ def test_a_branch_function_alone_has_the_energy_of_its_closed_form():
     travel, tip = sub.tip_travel[0], sub.tips[0]
     Q = np.array([travel, [-travel[1], travel[0]]])
     corners = (MESH.corners[cell] - tip) @ Q.T
+    t, w = np.polynomial.legendre.leggauss(400)  # the tip lies .003 mm from an edge of its cell
     for l in range(4):
         U = np.zeros((table.n_rows, 2))
         rows = np.flatnonzero(table.kind == BRANCH + l)
@@ -139,7 +140,6 @@ def test_a_branch_function_alone_has_the_energy_of_its_closed_form():
         # Rays from the lip at -pi to that at +pi, each to where it leaves the cell.
         corner_angles = np.sort(np.arctan2(corners[:, 1], corners[:, 0]))
         ends = np.concatenate([[-np.pi], corner_angles, [np.pi]])
-        t, w = np.polynomial.legendre.leggauss(400)
         energy = 0.0
         for low, high in zip(ends[:-1], ends[1:]):
             theta = low + (high - low) * (t + 1) / 2
