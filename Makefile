@@ -31,7 +31,8 @@ batch: $(INSTALLED)  ## make batch IN=folder OUT=folder -j N: every slice of IN 
 test: $(INSTALLED)  ## the tests that run in minutes
 	$(BIN)/python -m pytest -m "not slow" -n 2
 
-test-all: $(INSTALLED)  ## all tests, long batteries too
+test-all: $(INSTALLED)  ## all tests, long batteries too; the independent reference needs gmsh and scikit-fem
+	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'
 	$(BIN)/python -m pytest -n 2
 
 lint: $(INSTALLED)  ## ruff
@@ -43,7 +44,7 @@ docs: demo worked-case  ## write the generated page and pictures of docs/ again
 
 bench: $(INSTALLED)  ## measurements beside other programs
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'
-	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done
+	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python -m benchmarks.$$(basename $$script .py); done
 
 clean:  ## remove what the targets made, the environment too
 	rm -rf .venv build out .pytest_cache .ruff_cache .hypothesis *.egg-info
