@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
 from xfemnav.imaging.reading import file_digest, read_image
+from xfemnav.imaging.slices import take_slice, to_nifti
 
 AFFINE = np.array([[0.9, 0, 0, -40], [0, 1.1, 0, -50], [0, 0, 2.0, 7], [0, 0, 0, 1]])
 
@@ -156,6 +157,11 @@ def test_no_stated_position_warns(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(image.affine[:3, :3], axis=0), [0.9, 1.1, 2], rtol=1e-6)
 
 
+def test_unknown_frame_codes_count_as_a_position(tmp_path):
+    assert read_image(written(tmp_path, nifti(sform_code=128))).frame_code == 1
+    assert read_image(written(tmp_path, nifti(sform_code=4))).frame_code == 4
+
+
 @pytest.mark.parametrize("fields", [
     {"dim": [0, 5, 4, 3, 1, 1, 1, 1]}, {"dim": [8, 5, 4, 3, 1, 1, 1, 1]}, {"dim": [9, 5, 4, 3, 1, 1, 1, 1]},
     {"dim": [3, -5, 4, 3, 1, 1, 1, 1]}, {"dim": [3, 5, 0, 3, 1, 1, 1, 1]}, {"dim": [-3, 5, 4, 3, 1, 1, 1, 1]},
@@ -198,6 +204,18 @@ def test_no_flipped_byte_of_a_gzip_file_gives_wrong_voxels(tmp_path):
             assert image.digest == truth
             silent += 1
     assert silent < 12  # flags, time and system of gzip's own header, and unused bits where the stream ends
+
+
+def test_a_large_gzip_file_is_read_to_its_trailer(tmp_path):
+    content = nifti(volume((100, 100, 100)))  # 2 MB: no reader holds it in one buffer
+    packed = gzip.compress(content, 1)
+    assert read_image(written(tmp_path, packed, "image.nii.gz")).values.size == 10**6
+    for place in (-8, -5, -4, -1):  # CRC and length
+        broken = bytearray(packed)
+        broken[place] ^= 1
+        assert code_of(written(tmp_path, bytes(broken), "image.nii.gz")) == "E101"
+    assert code_of(written(tmp_path, packed[:-1], "image.nii.gz")) == "E101"
+    assert code_of(written(tmp_path, gzip.compress(content + b"\0", 1), "image.nii.gz")) == "E102"
 
 
 def test_truncated_raw_file(tmp_path):
@@ -267,6 +285,8 @@ def test_any_header_gives_an_image_or_a_code(tmp_path_factory, patches):
         content[place] = value
     try:
         image = read_image(written(tmp_path_factory.getbasetemp(), bytes(content)))
+        slice = take_slice(image, index=0)
+        assert to_nifti(slice, slice.values).header.get_data_shape()
     except XfemnavError as error:
         assert error.code in FAULTS
     else:

@@ -63,6 +63,13 @@ def test_a_head_with_constant_air_is_not_taken_for_stripped(plane, position):
     assert not is_stripped(head)
 
 
+def test_noisy_air_is_not_taken_for_stripped():
+    slice, _ = brain_slice("axial", 20)
+    noise = abs(np.random.default_rng(1).normal(0, 0.02 * slice.values.max(), slice.values.shape))
+    assert is_stripped(slice) and not is_stripped(replace(slice, values=slice.values + noise))
+    assert not is_stripped(replace(slice, values=np.rint(50 * (slice.values + noise))))  # few levels, as in 8 bits
+
+
 def test_the_user_overrules_the_test():
     slice, _ = brain_slice("axial", 20)
     with pytest.warns(XfemnavWarning, match="W206 .* of the head"):  # the brain is all of this "head"

@@ -81,6 +81,8 @@ def test_a_tilted_gantry_is_no_shear_of_the_slice():
     slice = take_slice(ramp(affine=affine_of(linear)), index=3)
     assert_shows(slice)
     assert slice.thickness == pytest.approx(3.0)
+    header = to_nifti(slice, slice.values).header
+    assert int(header["qform_code"]) == 0 and int(header["sform_code"]) == 2  # no quaternion holds a tilt
 
 
 def test_sheared_pixels_are_refused_and_rounding_is_not():
@@ -234,6 +236,9 @@ def test_other_grids_are_refused():
                   ramp((6, 9, 5)), ramp((14, 18, 10), affine_of(image.affine[:3, :3] / 2, image.affine[:3, 3]))):
         with pytest.raises(XfemnavError, match=r"E204 grids differ: image.nii.gz has .* voxels .* 7 x 9 pixels"):
             values_on(other, slice)
+    nudged = image.affine.copy()
+    nudged[:3, 3] += 0.2 * nudged[:3, 0]  # a fifth of a pixel is another grid, a rounded affine is not
+    assert code_of(values_on, image_of(image.values, nudged), slice) == "E204"
     rounded = image.affine + 1e-4
     rounded[3] = 0, 0, 0, 1
     assert values_on(image_of(image.values, rounded), slice).shape == (7, 9)

@@ -86,7 +86,8 @@ def read_frame(head: bytes, name: str) -> tuple[np.ndarray, int]:
                                    "sizes: --spacing 0.9,0.9.") from None
     affine[:3] *= MM_PER_UNIT.get(int(raw["xyzt_units"]) & 7, 1)
     check_affine(affine, name)
-    return affine, int(raw["sform_code"]) or int(raw["qform_code"])
+    code = int(raw["sform_code"]) or int(raw["qform_code"])
+    return affine, code if code in nibabel.nifti1.xform_codes.value_set() else 1  # 1: some scanner's frame
 
 
 def _shape(raw, name: str) -> tuple[int, ...]:

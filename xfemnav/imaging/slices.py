@@ -223,11 +223,10 @@ def _at(point) -> str:
 
 def _same_grid(voxels: np.ndarray, nearest: np.ndarray, image: Image) -> bool:
     """Whether the pixels at `voxels` (n1, n2, 3) are those of one whole slice of `image`."""
-    steps = abs(nearest[1, 0] - nearest[0, 0]), abs(nearest[0, 1] - nearest[0, 0])
-    axes = [int(np.argmax(step)) for step in steps]
-    return (abs(voxels - nearest).max() < SAME_PIXEL and all(step.sum() == 1 for step in steps)
-            and tuple(image.values.shape[axis] for axis in axes) == voxels.shape[:2]
-            and bool(((nearest >= 0) & (nearest < image.values.shape)).all()))
+    shape = image.values.shape
+    along = [int(np.argmax(abs(step - nearest[0, 0]))) for step in (nearest[1, 0], nearest[0, 1])]
+    return bool(abs(voxels - nearest).max() < SAME_PIXEL and ((nearest >= 0) & (nearest < shape)).all()
+                and tuple(shape[axis] for axis in along) == voxels.shape[:2])
 
 
 def read_mask(path, like: Slice, *, resample: bool = False, spacing=None, max_memory_gb: float = 4.0) -> np.ndarray:
