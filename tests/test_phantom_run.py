@@ -100,7 +100,7 @@ def test_labels_are_as_good_as_the_exact_map_can_make_them(run, resting):
 
 
 def test_the_cavity_is_the_wedge(run):
-    """The integral of 6 sqrt(s / 40) mm over the cut's length inside the outline; pixels of .64 mm2 leave some doubt."""
+    """The integral of 6 sqrt(s / 40) mm over the length inside the outline; pixels of .64 mm2 leave some doubt."""
     _, result = run
     length = np.linalg.norm(MOUTH - TIP)
     wedge = 6 * (2 / 3) * length**1.5 / 40**0.5
@@ -134,7 +134,6 @@ def test_the_gap_is_not_smeared(run):
     assert (result.warp(phantom.image())[middle] == 0).all()
 
 
-@pytest.mark.slow
 def test_another_grid_gives_the_same_motion(run, tmp_path):
     """Anisotropic, left-handed, integer storage: other pixels, another outline and mesh, the same tissue to .1 mm."""
     _, other = run_phantom("B", tmp_path)
