@@ -74,8 +74,13 @@ def eliminate(constraints: Constraints) -> tuple[np.ndarray, csc_array]:
     _refuse_contradiction(C[single] @ U0 - d[single], d)
     rest = np.setdiff1d(np.arange(len(d)), single)
     C, d = C[rest], d[rest] - C[rest] @ U0
+    size = _row_norms(C)
     C = csr_array(C @ csr_array((np.where(fixed, 0.0, 1.0), (np.arange(n_dof), np.arange(n_dof))), (n_dof, n_dof)))
     C.eliminate_zeros()
+    # A row that acts on fixed unknowns alone, but for rounding, holds or contradicts them.
+    settled = _row_norms(C) <= DEPENDENT * size
+    _refuse_contradiction(d[settled] / size[settled], constraints.d)
+    C, d = C[np.flatnonzero(~settled)], d[~settled]
     free = np.flatnonzero(~fixed)
     involved = np.unique(C.indices)
     untouched = np.setdiff1d(free, involved)
@@ -97,6 +102,10 @@ def eliminate(constraints: Constraints) -> tuple[np.ndarray, csc_array]:
         n_free += Z.shape[1]
     T = csc_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), (n_dof, n_free))
     return U0, T
+
+
+def _row_norms(C):
+    return np.sqrt(C.multiply(C).sum(axis=1))
 
 
 def _blocks(C):
