@@ -104,11 +104,11 @@ def take_slice(image: Image, *, plane: str | None = None, index: int | None = No
     e1, e2 = ((-1) ** back * directions[:, a] for back, a in zip(backwards, (a1, a2)))
     e1, e2 = _perpendicular(e1, e2, image.name)
     normal = np.cross(e1, e2)
-    normal = normal / np.linalg.norm(normal) * np.sign(normal[world_axes[2]])
+    normal = normal / np.linalg.norm(normal) * np.copysign(1, normal[world_axes[2]])
 
     step = columns[:, a3] @ normal
     offsets = image.affine[:3, 3] @ normal + step * np.arange(image.values.shape[a3])
-    index = _index(image, a3, plane, offsets, index, position_mm)
+    index = _index(image.name, plane, offsets, abs(step), index, position_mm)
     values = image.values.transpose(a1, a2, a3)[:, :, index]
     corner = np.zeros(3)
     corner[[a1, a2, a3]] = [(n - 1) * back for n, back in zip(values.shape, backwards)] + [index]
@@ -139,22 +139,21 @@ def _perpendicular(e1, e2, name: str):
     return e1 / np.linalg.norm(e1), e2 / np.linalg.norm(e2)
 
 
-def _index(image: Image, axis: int, plane: str, offsets: np.ndarray, index, position_mm) -> int:
-    """Voxel index along array `axis`, whose slices lie at `offsets` (n,) mm along the normal."""
+def _index(name: str, plane: str, offsets: np.ndarray, thickness: float, index, position_mm) -> int:
+    """Voxel index of the slice that is asked for; slices lie at `offsets` (n,) mm along the normal."""
     n, low, high = len(offsets), offsets.min(), offsets.max()
     choices = f"--slice 0 to {n - 1}, or --slice-mm {low:.4g} to {high:.4g}"
     if index is None and position_mm is None:
         if n > 1:
-            raise XfemnavError("E120", f"{image.name} has {n} {plane} slices; say which one: {choices}.")
+            raise XfemnavError("E120", f"{name} has {n} {plane} slices; say which one: {choices}.")
         return 0
     if position_mm is not None:
-        half = (high - low) / max(n - 1, 1) / 2 if n > 1 else np.linalg.norm(image.affine[:3, axis]) / 2
-        there = low - half <= position_mm <= high + half
+        there = low - thickness / 2 <= position_mm <= high + thickness / 2
         # midway between two slices: the one further along the normal, in every storage order
         index = max(range(n), key=lambda k: (-round(abs(offsets[k] - position_mm), 9), offsets[k])) if there else -1
     if not 0 <= index < n:
         asked = f"at {position_mm} mm" if position_mm is not None else f"with index {index}"
-        raise XfemnavError("E120", f"{image.name} has no {plane} slice {asked}: give {choices}.")
+        raise XfemnavError("E120", f"{name} has no {plane} slice {asked}: give {choices}.")
     return int(index)
 
 
