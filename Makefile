@@ -38,8 +38,9 @@ test-all: $(INSTALLED)  ## all tests, long batteries too; the independent refere
 lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .
 
-docs: demo worked-case  ## write the generated page and pictures of docs/ again
+docs: demo worked-case  ## write the generated pages and pictures of docs/ again
 	$(BIN)/python -m xfemnav.pipeline.errordocs > docs/errors.md
+	$(BIN)/python -m xfemnav.pipeline.scenariodocs > docs/scenario.md
 	$(BIN)/python docs/pictures.py
 
 bench: $(INSTALLED)  ## measurements beside other programs

@@ -56,10 +56,11 @@ def find_items(source: Path, target: Path) -> list[Item]:
 
 def run_item(item: Item, started: list[subprocess.Popen]) -> Outcome:
     """Run one slice to its end. A crash, a signal or a full memory ends this process and no other."""
-    # Absolute paths: a name such as -x.nii must not look like an option.
-    arguments = [item.image.absolute(), "--scenario", item.scenario.absolute(), "-o", item.folder.absolute(), "-q"]
-    command = [sys.executable, "-c", "from xfemnav_cli.main import main; main()", "run", *map(str, arguments)]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    # Absolute paths: a name such as -x.nii must not look like an option. One thread a run: -j shares out the cores.
+    paths = [item.image.absolute(), "--scenario", item.scenario.absolute(), "-o", item.folder.absolute()]
+    program = [sys.executable, "-c", "from xfemnav_cli.main import main; main()", "run", "-q", "--threads", "1"]
+    process = subprocess.Popen([*program, *paths], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                               stderr=subprocess.PIPE)
     started.append(process)
     words = process.communicate()[1].decode(errors="replace").strip().splitlines()
     succeeded = process.returncode in (EXIT_OK, EXIT_UNTRUSTED)

@@ -12,7 +12,7 @@ import pytest
 from xfemnav_cli.main import cli
 
 from xfemnav.errors import FAULTS
-from xfemnav.pipeline import errordocs
+from xfemnav.pipeline import errordocs, scenariodocs
 from xfemnav.pipeline.report import CHECKS
 from xfemnav.pipeline.runfile import NAMES
 from xfemnav.pipeline.scenario import problems
@@ -37,9 +37,16 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
 
 
-def test_page_of_errors_is_that_of_the_program():
-    assert (ROOT / "docs/errors.md").read_text() == errordocs.page(), (
-        "write it again: python -m xfemnav.pipeline.errordocs > docs/errors.md")
+@pytest.mark.parametrize("name, writer", [("errors", errordocs), ("scenario", scenariodocs)])
+def test_written_pages_are_those_of_the_program(name, writer):
+    again = f"write it again: python -m {writer.__name__} > docs/{name}.md"
+    assert (ROOT / f"docs/{name}.md").read_text() == writer.page(), again
+
+
+def test_every_key_of_a_scenario_is_explained():
+    rows = re.findall(r"^\| `(\w+)` \|.*\| ([^|]*) \| [^|]* \|$", scenariodocs.page(), flags=re.MULTILINE)
+    assert len(rows) > 30
+    assert [key for key, meaning in rows if not meaning.strip()] == ["side"], "left or right says it all"
 
 
 def test_every_code_has_a_group_and_a_sentence():

@@ -36,7 +36,8 @@ class Section(BaseModel):
 class SliceSection(Section):
     """Which slice of a volume."""
 
-    plane: Literal["axial", "coronal", "sagittal"] | None = None
+    plane: Literal["axial", "coronal", "sagittal"] | None = Field(
+        None, description="left out: the plane of an image with one slice, else axial")
     index: int | None = Field(None, ge=0, description="voxel index along the plane's normal, from 0")
     position_mm: float | None = Field(None, description="position along the plane's normal, mm")
 
@@ -50,7 +51,7 @@ class SliceSection(Section):
 class CutSection(Section):
     """A cut, drawn from its mouth to its tip."""
 
-    name: Name = "cut"
+    name: Name = Field("cut", description="what retractions and reports call it")
     points: Annotated[tuple[Point, ...], Strict(False)] = Field(description="2 numbers a point (plane), or 3 (world)")
     craniotomy: bool = Field(True, description="false: this mouth frees nothing at the skull")
     internal: bool = Field(False, description="the cut lies inside, with two tips")
@@ -83,25 +84,25 @@ class RetractSection(Section):
 class SegmentSection(Section):
     """How the organ is found when no mask is given."""
 
-    method: Literal["auto", "otsu", "vote", "svc"] = "auto"
+    method: Literal["auto", "otsu", "vote", "svc"] = Field("auto", description="auto: fill stripped images, else vote")
     skull: Literal["auto", "on", "stripped"] = Field("auto", description="whether the head's skull is in the image")
-    template: Path_ | None = None
-    template_mask: Path_ | None = None
+    template: Path_ | None = Field(None, description="template image, for svc")
+    template_mask: Path_ | None = Field(None, description="the template's mask, for svc")
 
 
 class TissueSection(Section):
     """The material."""
 
-    young_kpa: float = 3.0
-    poisson: float = 0.45
+    young_kpa: float = Field(3.0, description="Young's modulus, kPa")
+    poisson: float = Field(0.45, description="Poisson's ratio, below 0.5")
 
 
 class BoundarySection(Section):
     """What holds the organ's outline."""
 
-    skull: Literal["fixed", "sliding", "free"] = "fixed"
-    craniotomy_mm: NotNegative = 20.0
-    skull_ramp_mm: NotNegative = 4.0
+    skull: Literal["fixed", "sliding", "free"] = Field("fixed", description="what the skull does to the outline")
+    craniotomy_mm: NotNegative = Field(20.0, description="distance from a mouth within which the skull is off")
+    skull_ramp_mm: NotNegative = Field(4.0, description="length over which the skull's grip sets in; 0: at a point")
     displacement: Path_ | None = Field(None, description="CSV of the outline's measured motion: x,y,ux,uy[,side]")
 
 
@@ -109,9 +110,9 @@ class MeshSection(Section):
     """The mesh, or a file with yours."""
 
     file: Path_ | None = Field(None, description="VTU of triangles in RAS mm, in place of the mesh stage")
-    element_size_mm: Positive = 3.0
+    element_size_mm: Positive = Field(3.0, description="edge length of the elements")
     corridor_mm: NotNegative = Field(12.0, description="width of the fine band on either side of the cuts; 0 for none")
-    corridor_element_mm: Positive = 1.0
+    corridor_element_mm: Positive = Field(1.0, description="edge length of the elements there")
     corridor: Annotated[tuple[Point, ...], Strict(False)] | None = Field(
         None, description="the planned region's path, in place of the cuts themselves")
 
@@ -119,17 +120,18 @@ class MeshSection(Section):
 class SolveSection(Section):
     """How the equations are set up."""
 
-    stress_state: Literal["strain", "stress"] = "strain"
-    tip_enrichment: Literal["topological", "geometric", "none"] = "topological"
-    lip_constraint: Literal["mortar", "nitsche", "pointwise"] = "mortar"
+    stress_state: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
+    tip_enrichment: Literal["topological", "geometric", "none"] = Field(
+        "topological", description="nodes with tip functions: those about the tip, those near it, or none")
+    lip_constraint: Literal["mortar", "nitsche", "pointwise"] = Field("mortar", description="how lips are held")
     hold_tip: bool = Field(False, description="hold the tip cell's crossings too (pointwise only)")
 
 
 class WarpSection(Section):
     """How the new image is sampled."""
 
-    interp: Literal["linear", "cubic", "nearest"] = "linear"
-    outside: Literal["keep", "zero"] = "keep"
+    interp: Literal["linear", "cubic", "nearest"] = Field("linear", description="interpolation")
+    outside: Literal["keep", "zero"] = Field("keep", description="pixels outside the organ")
     fill: float = Field(0.0, description="value of cavity pixels")
 
 
@@ -137,15 +139,15 @@ class Scenario(Section):
     """Everything that a run can be asked for. Paths are relative to the file and stay in its folder."""
 
     xfemnav: Literal[1] = Field(description="version of this format")
-    image: Path_ | None = None
-    mask: Path_ | None = None
+    image: Path_ | None = Field(None, description="NIfTI; may be given on the command line instead")
+    mask: Path_ | None = Field(None, description="the organ, on the image's grid: a slice or a volume")
     space: Literal["ras", "lps", "voxel"] = Field("ras", description="how points are read")
     volume: int | None = Field(None, ge=0, description="which volume of a 4-D image")
     nan: float | None = Field(None, description="value for NaN and infinite voxels")
     spacing: Annotated[tuple[Positive, ...], Strict(False), Field(min_length=2, max_length=3)] | None = Field(
         None, description="pixel sizes, mm, in place of the header's frame")
-    resample_mask: bool = False
-    max_memory_gb: Positive = 4.0
+    resample_mask: bool = Field(False, description="accept a mask on another grid")
+    max_memory_gb: Positive = Field(4.0, description="largest image to read, GB")
     strict: bool = Field(False, description="warnings are errors")
     slice: SliceSection = SliceSection()
     segment: SegmentSection = SegmentSection()
