@@ -10,9 +10,10 @@ import shapely
 from scipy import ndimage
 from skimage import measure
 
-from xfemnav.errors import XfemnavError
+from xfemnav.errors import XfemnavError, warn
 
 SIGMA = 1.0  # pixels
+SPECK = 1e-3  # of the organ's area: what may come off without a word
 MARGIN = 5  # pixels of background added around the slice, so that an organ cut by the slice's edge has an outline
 
 
@@ -20,7 +21,8 @@ def outline_of(mask: np.ndarray, origin, spacing) -> np.ndarray:
     """Outline (n, 2) plane mm of the organ in `mask` (n1, n2): its longest closed loop.
 
     Counter-clockwise, the last point not repeated, a simple polygon. Pixel (i, j) is centred at
-    origin + (i, j) * spacing. Raises E201 when the mask is empty or too thin to have an inside.
+    origin + (i, j) * spacing. Raises E201 when the mask is empty or too thin to have an inside; warns (W207) of other
+    loops: what hangs on by less than two pixels comes off when the mask is smoothed.
     """
     smooth = ndimage.gaussian_filter(np.pad(mask, MARGIN).astype(float), SIGMA)
     loops = [loop[:-1] for loop in measure.find_contours(smooth, 0.5) if len(loop) > 3]
@@ -29,6 +31,9 @@ def outline_of(mask: np.ndarray, origin, spacing) -> np.ndarray:
     if organ.area == 0:
         raise XfemnavError("E201", f"the mask has no inside: its {int(np.sum(mask))} pixels are nowhere two wide. "
                                    "Give another --mask.")
+    lost = sum(part.area for part in polygons) - organ.area
+    if lost > SPECK * organ.area:
+        warn("W207", f"{lost * float(np.prod(spacing)):.1f} mm2 of the mask hang on by less than two pixels and are left out.")
     loop = shapely.get_coordinates(shapely.geometry.polygon.orient(organ).exterior)[:-1]
     apart = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1) > 1e-3  # pixels; level crossings beside a node
     return np.asarray(origin, float) + (loop[apart] - MARGIN) * np.asarray(spacing, float)
