@@ -33,7 +33,8 @@ def outline_of(mask: np.ndarray, origin, spacing) -> np.ndarray:
                                    "Give another --mask.")
     lost = sum(part.area for part in polygons) - organ.area
     if lost > SPECK * organ.area:
-        warn("W207", f"{lost * float(np.prod(spacing)):.1f} mm2 of the mask hang on by less than two pixels and are left out.")
+        area = lost * float(np.prod(spacing))
+        warn("W207", f"{area:.1f} mm2 of the mask hang on by less than two pixels and are left out.")
     loop = shapely.get_coordinates(shapely.geometry.polygon.orient(organ).exterior)[:-1]
     apart = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1) > 1e-3  # pixels; level crossings beside a node
     return np.asarray(origin, float) + (loop[apart] - MARGIN) * np.asarray(spacing, float)
