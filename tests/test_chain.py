@@ -223,3 +223,14 @@ def test_parameters_of_the_record_are_a_scenario(run):
     record, _ = run()
     assert problems({"xfemnav": 1} | record["parameters"]) == []
     assert configure("x.nii", flags={"cut": (CUT,), "opening_mm": 4.0}).parameters["cut"] == record["parameters"]["cut"]
+
+
+def test_a_template_moderates_the_segmentation(run, home):
+    """Template-moderated classification with the brain's own image as template finds the brain; without one, E206."""
+    mask = write(home / "template_mask.nii.gz", (brain() > 0).astype(np.uint8))
+    template = ("--segment-method", "svc", "--template", "sub-01_T1w.nii.gz", "--template-mask", mask.name)
+    record, states = run(*template, output="svc")
+    assert record["segmentation"]["method"] == "svc" and "segment" in ran(states)
+    found = np.squeeze(nib.load(home / "svc" / record["outputs"]["mask"]).get_fdata()) > 0
+    overlap = 2 * (found & (brain() > 0)).sum() / (found.sum() + (brain() > 0).sum())
+    assert overlap > 0.95

@@ -44,7 +44,8 @@ def segment(params, inputs):
     mask = None
     if "mask" in inputs.files:
         mask = read_mask(inputs.files["mask"], slice, resample=params.resample_mask, max_memory_gb=inputs.max_memory_gb)
-    return slice, segment(slice, method=params.method, mask=mask, skull=params.skull)
+    templates = {role: inputs.image(role) for role in ("template", "template_mask") if role in inputs.files}
+    return slice, segment(slice, method=params.method, mask=mask, skull=params.skull, **templates)
 
 
 def segment_facts(value, inputs):
