@@ -185,8 +185,9 @@ def _measured(space, rim, measured):
     total = outline.length
     mouths = _mouth_arcs(sub, outline)
     origin = mouths[0] if len(mouths) else 0.0
-    # A facet's end at a mouth belongs to the facet's own side: look it up a little inside the facet.
-    rim_arc = _arc(outline, rim.points + 1e-6 * (rim.middles - rim.points), origin)
+    # A facet's end at a mouth belongs to the facet's own side: a point a little inside the facet tells which.
+    inside = _arc(outline, rim.points + 1e-6 * (rim.middles - rim.points), origin)
+    rim_arc = inside + np.mod(_arc(outline, rim.points, origin) - inside + total / 2, total) - total / 2
     arc = _arc(outline, measured[:, :2], origin)
     if measured.shape[1] == 5:
         arc = _beside_mouth(arc, measured[:, 4], np.mod(mouths - origin, total), total)
@@ -195,14 +196,16 @@ def _measured(space, rim, measured):
     )
     known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
     for low, high in zip(bounds[:-1], bounds[1:]):
-        own, here = (arc >= low) & (arc <= high), (rim_arc >= low) & (rim_arc <= high)
+        own, here = (arc >= low) & (arc <= high), (inside >= low) & (inside <= high)
         order = np.argsort(arc[own], kind="stable")
         at, u = arc[own][order], measured[own, 2:4][order]
         if not len(mouths) and len(at):  # the outline closes on itself
             at, u = np.concatenate([[at[-1] - total], at, [at[0] + total]]), np.vstack([u[-1], u, u[0]])
         if len(at):
             gaps = np.concatenate([[at[0] - low], np.diff(at), [high - at[-1]]])
-            known[here] = gaps[np.searchsorted(at, rim_arc[here])] <= MEASURED_GAP_MM
+            # A measured point itself lies in the gaps on both its sides.
+            around = [gaps[np.searchsorted(at, rim_arc[here] + off)] for off in (-1e-9, 1e-9)]
+            known[here] = np.minimum(*around) <= MEASURED_GAP_MM
             values[here] = np.stack([np.interp(rim_arc[here], at, u[:, i]) for i in (0, 1)], axis=1)
     return known, values
 
