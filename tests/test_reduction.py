@@ -64,8 +64,8 @@ def test_every_scaled_block_is_the_identity(tip_enrichment):
 
 
 def test_tip_functions_cost_no_conditioning():
-    """Topological: at most 1.2 times that of the same cut without them. Geometric: 1.28 was measured on these few cells,
-    which the tip functions outnumber; less on fine meshes.
+    """Topological: at most 1.2 times that of the same cut without them. Geometric: 1.28 was measured on these few
+    cells, which the tip functions outnumber; less on fine meshes.
     """
     plain = scaled_condition("none")
     assert scaled_condition("topological") <= 1.2 * plain

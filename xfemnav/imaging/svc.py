@@ -84,11 +84,19 @@ def register(fixed: np.ndarray, moving: np.ndarray, mask: np.ndarray, pixel: flo
     method.SetInitialTransform(start, inPlace=False)
     try:
         found = method.Execute(fixed_image, moving_image)
+        moved = [sitk.Transform(start), found]
+        found = min(moved, key=lambda transform: _metric(method, transform, fixed_image, moving_image))
     except RuntimeError:
         raise XfemnavError("E206", "the template could not be laid on the slice: they do not overlap. "
                                    "Give one in its frame.") from None
     carried = sitk.Resample(mask_image, fixed_image, found, sitk.sitkLinear, 0.0)
     return sitk.GetArrayFromImage(carried).T > 0.5
+
+
+def _metric(method, transform, fixed, moving) -> float:
+    """Negative mutual information: a descent on coarse copies may end farther from the slice than it began."""
+    method.SetInitialTransform(transform)
+    return method.MetricEvaluate(fixed, moving)
 
 
 def _image(values: np.ndarray, pixel: float) -> sitk.Image:
