@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
-from xfemnav_cli.telling import printable
 
 from xfemnav.errors import EXIT_OK, EXIT_SOME_FAILED, EXIT_UNTRUSTED
+from xfemnav_cli.telling import printable
 
 IMAGE_SUFFIXES = (".nii.gz", ".nii")
 

@@ -4,11 +4,11 @@ import sys
 import traceback
 
 import click
-from xfemnav_cli import batch, run, tools
-from xfemnav_cli.telling import complain, printable
 
 from xfemnav import __version__
 from xfemnav.errors import EXIT_BUG, EXIT_DATA, EXIT_USAGE, XfemnavError
+from xfemnav_cli import batch, run, tools
+from xfemnav_cli.telling import complain, printable
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})

@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
-from xfemnav_cli.telling import Teller, complain
 
 from xfemnav.errors import EXIT_UNTRUSTED, XfemnavError
+from xfemnav_cli.telling import Teller, complain
 
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
 FILE = click.Path(path_type=Path)
@@ -74,7 +74,7 @@ RUNNING = (
     click.option("-o", "--output", type=FILE, metavar="DIR", help="Output folder.  [./<stem>_xfemnav]"),
     click.option("-w", "--cache", type=FILE, metavar="DIR", help="Cache.  [$XFEMNAV_CACHE, else ~/.cache/xfemnav]"),
     click.option("--strict", is_flag=True, default=None, help="Warnings are errors."),
-    click.option("--dry-run", is_flag=True, help="Say what would run, and write nothing."),
+    click.option("--dry-run", is_flag=True, help="Say what would run, and run nothing."),
     click.option("--force", is_flag=True, help="Compute every stage again."),
     click.option("--force-from", type=_choice(*STAGES), help="Compute this stage and the later ones again."),
     click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout, all else on stderr."),

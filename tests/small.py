@@ -4,6 +4,7 @@ import sys
 
 import nibabel as nib
 import numpy as np
+
 from xfemnav_cli.main import main
 
 CUT = "-60,10 -15,5"  # from outside the brain to its inside, through the patient's left

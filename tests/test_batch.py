@@ -11,6 +11,7 @@ from pathlib import Path
 import nibabel
 import numpy as np
 import pytest
+
 from xfemnav_cli.batch import find_items
 
 SCENARIO = """

@@ -82,7 +82,7 @@ def test_name_and_packing_of_the_input_change_nothing(run, home):
         assert ran(run(image=image, output="elsewhere")[1]) == []
 
 
-def test_dry_run_says_what_would_run_and_writes_nothing(run, home, capfd):
+def test_dry_run_says_what_would_run_and_runs_nothing(run, home, capfd):
     base = ("run", "sub-01_T1w.nii.gz", "-w", "cache", *QUICK, "--cut", CUT, *OPEN, "--dry-run")
     code, stdout, _ = xfemnav(capfd, *base)
     assert code == 0 and stdout.count(" cached ") == 5

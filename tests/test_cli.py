@@ -14,11 +14,11 @@ from dataclasses import replace
 import jsonschema
 import pytest
 from small import CUT, OPEN, QUICK, write, xfemnav
-from xfemnav_cli.telling import printable
 
 from xfemnav.pipeline import disk, stages
 from xfemnav.pipeline.runfile import run_schema
 from xfemnav.pipeline.scenario import problems
+from xfemnav_cli.telling import printable
 
 XFEMNAV = [sys.executable, "-c", "from xfemnav_cli.main import main; main()"]
 

@@ -8,13 +8,13 @@ from typing import get_args
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from xfemnav_cli.run import execute, run
 
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.config import STAGES, configure, scenario_problems
 from xfemnav.pipeline.flags import CUT_FLAGS, FLAGS
 from xfemnav.pipeline.keys import canonical
 from xfemnav.pipeline.scenario import Scenario, problems
+from xfemnav_cli.run import execute, run
 
 SCENARIO = """
 xfemnav = 1

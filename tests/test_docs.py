@@ -9,13 +9,13 @@ from pathlib import Path
 
 import click
 import pytest
-from xfemnav_cli.main import cli
 
 from xfemnav.errors import FAULTS
 from xfemnav.pipeline import errordocs, scenariodocs
 from xfemnav.pipeline.report import CHECKS
 from xfemnav.pipeline.runfile import NAMES
 from xfemnav.pipeline.scenario import problems
+from xfemnav_cli.main import cli
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -27,19 +27,26 @@ def writing(where: Path, what: str) -> Iterator[None]:
 
 
 def write_atomic(path: Path, data: bytes) -> None:
-    """Put `data` at `path` in one step: temporary sibling, fsync, rename, fsync of the folder."""
-    with writing(path.parent, path.name):
-        temporary = path.with_name(f".{os.getpid()}{TEMPORARY}")
+    """Put `data` at `path` in one step."""
+    write_together(path.parent, {path.name: data})
+
+
+def write_together(folder: Path, files: dict[str, bytes]) -> None:
+    """Put `files` (name -> bytes) into `folder`, each in one step: temporary sibling, fsync, rename; then fsync it."""
+    temporaries = [folder / f".{os.getpid()}-{i}{TEMPORARY}" for i in range(len(files))]
+    with writing(folder, ", ".join(files)):
         try:
-            with open(temporary, "wb") as stream:
-                stream.write(data)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(temporary, path)
-        except OSError:
-            temporary.unlink(missing_ok=True)
-            raise
-        sync(path.parent)
+            for temporary, data in zip(temporaries, files.values()):
+                with open(temporary, "wb") as stream:
+                    stream.write(data)
+                    stream.flush()
+                    os.fsync(stream.fileno())
+            for temporary, name in zip(temporaries, files):
+                os.replace(temporary, folder / name)
+            sync(folder)
+        finally:
+            for temporary in temporaries:
+                temporary.unlink(missing_ok=True)
 
 
 def sync(path: Path) -> None:

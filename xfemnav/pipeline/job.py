@@ -12,6 +12,7 @@ from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
+from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 from xfemnav.pipeline.stages import INVERTED_LIMIT_MM2
 
@@ -82,6 +83,8 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
         folder.refuse_overwriting([*config.inputs().values()])
         chain = Chain(config, cache, options.force_from, listener.started, listener.finished)
         chain.warned += warned
+        if passing := settle_kernel_cache():
+            chain.warned.append(Warned("W602", passing))
         record = {"schema": SCHEMA, "version": __version__, "argv": list(options.argv), "parameters": config.parameters}
         try:
             return _run(chain, options, folder, record)

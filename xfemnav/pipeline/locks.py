@@ -17,7 +17,8 @@ def locked(path: Path, *, shared: bool = False, waiting: Callable[[], None] = la
            limit_s: float = LIMIT_S) -> Iterator[None]:
     """Hold the lock on `path` (a folder, or a file that is made when missing).
 
-    `waiting` is called once if somebody else holds it. Raises XfemnavError E503 after `limit_s` seconds.
+    `waiting` is called once if somebody else holds it. Raises XfemnavError E503 after `limit_s` seconds, E502 where the
+    disk has no locks.
     """
     handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT, 0o666)
     try:
@@ -37,6 +38,8 @@ def _take(handle: int, path: Path, kind: int, waiting: Callable[[], None], limit
             if time.monotonic() >= deadline:
                 raise XfemnavError("E503", f"another run has held {path} for {limit_s:.0f} s. "
                                            "Wait for it to end, or use another folder.") from None
+        except OSError as error:  # a network disk without locks
+            raise XfemnavError("E502", f"cannot lock {path}: {error.strerror}. Use a folder on a local disk.") from None
         if not told:
             waiting()
             told = True

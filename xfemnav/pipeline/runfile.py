@@ -3,6 +3,7 @@
 While files are being replaced, run.json says 'interrupted', so that a folder whose run died never looks complete.
 """
 
+import hashlib
 import json
 import os
 import re
@@ -11,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.disk import remove_temporaries, write_atomic, writing
+from xfemnav.pipeline.disk import remove_temporaries, write_atomic, write_together, writing
 from xfemnav.pipeline.keys import file_digest
 from xfemnav.pipeline.locks import locked
 
@@ -96,12 +97,15 @@ class OutputFolder:
         """Put `files` (role -> path in the cache, sha256) in place; their public names by role."""
         names = self.names(files)
         self.write_record(record | {"status": "interrupted", "exit_code": 130, "outputs": {}})
-        for role, (source, sha256) in files.items():
-            self._put(names[role], source, sha256)
-            if role in SIDECARS:
-                sidecar = SIDECARS[role] | {"Sources": [self.image.name], "GeneratedBy": [
-                    {"Name": "xfemnav", "Version": record["version"]}]}
-                write_atomic(self.path / names[role].replace(".nii.gz", ".json"), json_text(sidecar).encode())
+        changed = {names[role]: source.read_bytes() for role, (source, sha256) in files.items()
+                   if not self._holds(names[role], sha256)}
+        maker = {"Sources": [self.image.name], "GeneratedBy": [{"Name": "xfemnav", "Version": record["version"]}]}
+        for role in SIDECARS.keys() & files.keys():
+            sidecar = json_text(SIDECARS[role] | maker).encode()
+            name = names[role].replace(".nii.gz", ".json")
+            if not self._holds(name, hashlib.sha256(sidecar).hexdigest()):
+                changed[name] = sidecar
+        write_together(self.path, changed)
         self.remove_earlier(keep=set(names.values()))
         return names
 
@@ -124,10 +128,10 @@ class OutputFolder:
             if path.resolve() in targets:
                 raise XfemnavError("E504", f"the output would overwrite the input {path}. Give another folder with -o.")
 
-    def _put(self, name: str, source: Path, sha256: str) -> None:
+    def _holds(self, name: str, sha256: str) -> bool:
+        """Whether the file is there already with this content."""
         target = self.path / name
-        if not (target.is_file() and not target.is_symlink() and file_digest(target) == sha256):
-            write_atomic(target, source.read_bytes())
+        return target.is_file() and not target.is_symlink() and file_digest(target) == sha256
 
     def _outputs_of_earlier_run(self) -> set[str]:
         """Names of public files in the folder, from its run.json; a name that leads elsewhere is left out."""
