@@ -178,12 +178,12 @@ def test_beside_a_mouth_each_lip_has_its_own_value():
     loop = outline(MESH)
     left = (loop - MOUTH[0]) @ np.array([1.0, 0.0]) > 0
     u = np.where(left[:, None], (1.0, 0.5), (-2.0, 0.0))
-    at_mouth = np.array([[*MOUTH[0], 1.0, 0.5, 1], [*MOUTH[0], -2.0, 0.0, -1]])
+    at_mouth = np.array([[*MOUTH[0], 1.4, 0.7, 1], [*MOUTH[0], -2.6, 0.3, -1]])
     measured = np.vstack([measured_on(loop, u, np.zeros(len(loop))), at_mouth])
     constraints, _ = skull_conditions(SPACE, Skull("fixed"), MOUTH, BRAIN, measured)
     # A point a hair inside each lip at the mouth: its value by the conditions alone.
     sub = SPACE.subcells
-    for side, column, value in ((1, 0, (1.0, 0.5)), (-1, 1, (-2.0, 0.0))):
+    for side, column, value in ((1, 0, (1.4, 0.7)), (-1, 1, (-2.6, 0.3))):
         part = sub.lip_parts[np.argmin(sub.lip_arc[:, 0]), column]
         row = SPACE.basis_in(MOUTH, [part]).toarray()[0]
         C = constraints.C.toarray()[0::2, 0::2]
