@@ -86,8 +86,8 @@ def pull_back(rest, moved, origin, spacing, shape) -> PullBack:
     resting place; one turned inside out gives it only where there is no other.
     """
     origin, spacing = np.asarray(origin, float), np.asarray(spacing, float)
-    corners = (np.asarray(moved, float) - origin) / spacing
-    return PullBack(*_rasterise(np.ascontiguousarray(rest, float), corners, *shape), origin, spacing)
+    rest, moved = np.ascontiguousarray(rest, float), np.ascontiguousarray(moved, float)
+    return PullBack(*_rasterise(rest, moved, origin, spacing, *shape), origin, spacing)
 
 
 def covered(triangles, origin, spacing, shape) -> np.ndarray:
@@ -132,9 +132,9 @@ def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "l
     updated = kept.astype(values.dtype if interp == "nearest" else np.float32)
     empty = organ & ~pull_back.tissue
     np.putmask(updated, empty, fill)
-    cavity = empty if now is None else empty & now
+    cavity, vacated = (empty, np.zeros_like(empty)) if now is None else (empty & now, empty & ~now)
     _sample_into(updated, values, origin, spacing, pull_back.resting, interp)
-    return Update(updated, cavity, empty & ~cavity, pull_back)
+    return Update(updated, cavity, vacated, pull_back)
 
 
 def _sample_into(out, values, origin, spacing, points, interp) -> None:
@@ -155,10 +155,10 @@ def _sample_into(out, values, origin, spacing, points, interp) -> None:
 
 @njit(cache=True)
 def _linear(out, values, points, origin, spacing):
-    n1, n2 = values.shape
+    (n1, n2), (o1, o2), per_mm1, per_mm2 = values.shape, origin, 1 / spacing[0], 1 / spacing[1]
     flat = values.ravel()
     for k in range(len(points)):
-        x, y = (points[k, 0] - origin[0]) / spacing[0], (points[k, 1] - origin[1]) / spacing[1]
+        x, y = (points[k, 0] - o1) * per_mm1, (points[k, 1] - o2) * per_mm2
         if x != x:
             continue
         x = 0.0 if x < 0 else (n1 - 1.0 if x > n1 - 1 else x)
@@ -175,9 +175,9 @@ def _linear(out, values, points, origin, spacing):
 
 @njit(cache=True)
 def _nearest(out, values, points, origin, spacing):
-    n1, n2 = values.shape
+    (n1, n2), (o1, o2), per_mm1, per_mm2 = values.shape, origin, 1 / spacing[0], 1 / spacing[1]
     for k in range(len(points)):
-        x, y = (points[k, 0] - origin[0]) / spacing[0], (points[k, 1] - origin[1]) / spacing[1]
+        x, y = (points[k, 0] - o1) * per_mm1, (points[k, 1] - o2) * per_mm2
         if x == x:
             out[k] = values[int(min(max(x + 0.5, 0.0), n1 - 1.0)), int(min(max(y + 0.5, 0.0), n2 - 1.0))]
 
@@ -224,17 +224,19 @@ def _crossings(m, counter_clockwise, edges):
 
 
 @njit(cache=True)
-def _rasterise(rest, moved, n1, n2):
-    """`resting`, `count`, `folded`, `triangle` of PullBack; `rest` (t, 3, 2) mm, `moved` (t, 3, 2) pixels.
+def _rasterise(rest, moved, origin, spacing, n1, n2):
+    """`resting`, `count`, `folded`, `triangle` of PullBack, from `rest` and `moved` (t, 3, 2) mm.
 
     Row by row, each triangle covers what its three edges leave of the row: strictly inside by ON_EDGE it is counted;
     within ON_EDGE of an edge it only claims a pixel that nobody else has.
     """
     resting, triangle = np.full((n1, n2, 2), np.nan), np.full((n1, n2), -1, np.int32)
     count, folded = np.zeros((n1, n2), np.uint16), np.zeros((n1, n2), np.uint16)
-    edges = np.empty((3, 3))
+    m, edges = np.empty((3, 2)), np.empty((3, 3))
     for c in range(len(rest)):
-        m, r = moved[c], rest[c]
+        r = rest[c]
+        for k in range(3):    # the moved corners in pixels
+            m[k, 0], m[k, 1] = (moved[c, k, 0] - origin[0]) / spacing[0], (moved[c, k, 1] - origin[1]) / spacing[1]
         ex, ey, fx, fy = m[1, 0] - m[0, 0], m[1, 1] - m[0, 1], m[2, 0] - m[0, 0], m[2, 1] - m[0, 1]
         gx, gy, hx, hy = r[1, 0] - r[0, 0], r[1, 1] - r[0, 1], r[2, 0] - r[0, 0], r[2, 1] - r[0, 1]
         twice = ex * fy - ey * fx
