@@ -231,6 +231,16 @@ def test_labels_stay_in_their_set_and_type():
     assert set(np.unique(result.updated)) <= set(np.unique(labels))
 
 
+@pytest.mark.parametrize("interp", ["linear", "cubic", "nearest"])
+def test_the_order_of_an_array_in_memory_changes_nothing(interp):
+    rest = scattered(0)
+    organ, motion = covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, rest + np.array([3.2, 1.1]))
+    image = np.random.default_rng(0).normal(size=SHAPE)
+    for same in (np.asfortranarray(image), image[::-1].copy()[::-1]):
+        assert_array_equal(update(same, ORIGIN, SPACING, organ, motion, interp).updated,
+                           update(image, ORIGIN, SPACING, organ, motion, interp).updated)
+
+
 @pytest.mark.parametrize("interp", ["linear", "nearest"])
 def test_a_pixel_centre_has_its_own_value_to_the_last_bit(interp):
     origin, spacing = np.array([-30.1, 17.3]), np.array([0.7, 0.3])    # (x - origin) / spacing is rounded here

@@ -129,7 +129,7 @@ def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "l
     """
     values = np.asarray(values)
     kept = {"keep": values, "zero": np.zeros_like(values)}[outside]
-    updated = kept.astype(values.dtype if interp == "nearest" else np.float32)
+    updated = kept.astype(values.dtype if interp == "nearest" else np.float32, order="C")
     empty = organ & ~pull_back.tissue
     np.putmask(updated, empty, fill)
     cavity, vacated = (empty, np.zeros_like(empty)) if now is None else (empty & now, empty & ~now)
