@@ -98,10 +98,15 @@ def _insert(T, x, y, gap, depth, start, hollow, rim, outer):
     if cell < 0:
         return -1
     T.count[3] = cell
+    p = T.points
     if gap > 0 and T.inside[cell] == 0:
         return -1
+    for i in range(3):  # spares most of the refused points the cavity
+        a = T.cells[cell, i]
+        if (p[a, 0] - x) ** 2 + (p[a, 1] - y) ** 2 < gap * gap:
+            return -1
     T.count[2] += 1
-    stamp, p = T.count[2], T.points
+    stamp = T.count[2]
     hollow[0], n_hollow, n_rim, k = cell, 1, 0, 0
     T.stamp[cell] = stamp
     while k < n_hollow:

@@ -1,10 +1,10 @@
-"""Triangle mesh of the inside of an outline, after Persson & Strang, "A simple mesh generator in MATLAB", SIAM Review
-46 (2004).
+"""Triangle mesh of the inside of an outline, after Persson & Strang (SIAM Review 46, 2004).
 
 Theirs: bars that press the nodes apart, a boundary that stays on the outline, a size function, a measured quality.
 Changed, because their loop does not reach its stopping tolerance on a contour of an image: the outline's nodes are
-placed once, by arc length; the others start on a lattice that follows the size function; the triangulation is grown
-once and afterwards only flipped; every loop is bounded; and the quality is a gate at the end, not a hope.
+spaced by arc length at once; the others start on a lattice that grows wave by wave after the size function; the
+triangulation is grown with them and afterwards only flipped; every loop is bounded; and the quality is a gate at the
+end, not a hope.
 """
 
 from collections.abc import Callable
@@ -16,17 +16,18 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.delaunay import Triangulation, holes, insert, mark_inside, square
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.outline_nodes import Rail, outline_nodes, rail_nodes, strays
-from xfemnav.geometry.relaxation import lift_worst, mean_quality, optimal_delaunay, truss
+from xfemnav.geometry.relaxation import lift_worst, mean_quality, truss
 from xfemnav.geometry.sizing import cones, sample_inside
 
 MOST_NODES, FEWEST_NODES = 400_000, 12
-TURN = np.radians(15)  # the lattice's rows are 15 degrees or more from both axes, along which many cuts run
+TURN = np.radians(15)  # rows of the lattice of nodes are 15 degrees or more from both axes, along which many cuts run
 NEAR, DEEP = 0.72, 0.5  # room that a lattice node keeps, in h, to other nodes and to the outline
 HOLE = 0.8  # a cell whose circumscribed radius exceeds this, in h, can take one more node (equilateral: .58)
 STRAY = 0.2  # an outline edge that leaves the outline by more than this, in its length, is too coarse
 SMALLEST = 1 / 16  # a detail that would need elements smaller than this part of the wanted ones is refused
 GROWTH = 0.25  # mm per mm about details that are finer than the elements
 CLOSE = 0.985  # below this mean quality the outline's shape governs the mesh, and more cells are worth a search
+WAVES = 30  # most times that waves start anew
 CYCLES, STALL = 6, 2e-3  # most cycles of relaxation; it ends when the mean quality rises by less
 ROUNDS = 12  # times that the mesh is begun anew with smaller elements at newly found details
 
@@ -48,11 +49,7 @@ def distmesh(outline, size: float | Callable, *, min_quality: float = 0.5) -> Me
         size_at = _lowered(wanted, spots) if len(spots) else wanted
         T, rail, details = _outline_triangulation(outline, size_at)
         if len(details) == 0:
-            if callable(size) or len(spots):
-                _fill_by_fronts(T, size_at)
-            else:
-                _fill_by_lattice(T, float(size))
-            _fill_holes(T, size_at)
+            _fill_by_fronts(T, size_at)
             mesh = _relaxed(T, rail, size_at)
             if not shapely.Polygon(mesh.points[: len(rail.places)]).is_valid:  # nodes slid past a bay's other shore
                 mesh = _relaxed(T, rail._replace(free=np.zeros(len(rail.free), bool)), size_at)
@@ -122,32 +119,22 @@ def _outline_triangulation(outline, size_at) -> tuple[Triangulation, Rail, np.nd
     return T, rail, np.column_stack([nodes + edges / 2, length / 2])[missed]
 
 
-def _fill_by_lattice(T, h):
-    """Nodes of a hexagonal lattice of edge `h` mm inside the outline, in rows that run to and fro."""
-    points = T.points[4 : T.count[0]]
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    n = int(np.linalg.norm(np.ptp(points, axis=0)) / 2 / (h * np.sqrt(3) / 2)) + 2
-    row, column = np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1), indexing="ij")
-    column = np.where(row % 2 == 0, column, -column)
-    x, y = (column + 0.5 * (row % 2)) * h, row * h * np.sqrt(3) / 2
-    along, up = np.array([np.cos(TURN), np.sin(TURN)]), np.array([-np.sin(TURN), np.cos(TURN)])
-    lattice = centre + x.reshape(-1, 1) * along + y.reshape(-1, 1) * up
-    insert(T, lattice, np.full(len(lattice), h), np.full(len(lattice), -1), NEAR, DEEP)
-
-
 def _fill_by_fronts(T, size_at):
     """Nodes one edge length from their parent in six fixed directions, wave after wave, until no room is left.
 
-    Where the size is uniform the waves draw the hexagonal lattice; they start where the elements are smallest.
+    The first wave starts where the elements are smallest, others in the cells that are still too large. Where the size
+    is uniform the waves draw a hexagonal lattice.
     """
-    centres, parents = holes(T, HOLE)
-    h = size_at(centres)
-    for seed in np.argsort(h, kind="stable"):
-        front = insert(T, centres[[seed]], h[[seed]], parents[[seed]], NEAR, DEEP)
-        if front[0] >= 0:
-            break
-    while len(centres) and len(front):
-        front = _wave(T, front, size_at)
+    for most in (1, *[None] * WAVES):
+        centres, parents = holes(T, HOLE)
+        h = size_at(centres)
+        seeds = np.argsort(h, kind="stable")[:most]
+        nodes = insert(T, centres[seeds], h[seeds], parents[seeds], NEAR, DEEP)
+        front = nodes[nodes >= 0]
+        if most is None and len(front) == 0:
+            return
+        while len(front):
+            front = _wave(T, front, size_at)
 
 
 def _wave(T, front, size_at) -> np.ndarray:
@@ -162,22 +149,8 @@ def _wave(T, front, size_at) -> np.ndarray:
     return nodes[nodes >= 0]
 
 
-def _fill_holes(T, size_at):
-    """Nodes in the circumcentres of cells that are too large, and waves from there."""
-    for _ in range(30):
-        centres, parents = holes(T, HOLE)
-        if len(centres) == 0:
-            return
-        nodes = insert(T, centres, size_at(centres), parents, NEAR, DEEP)
-        front = nodes[nodes >= 0]
-        if len(front) == 0:
-            return
-        while len(front):
-            front = _wave(T, front, size_at)
-
-
 def _relaxed(T, rail, size_at) -> Mesh:
-    """The inside cells, relaxed in cycles of truss and optimal Delaunay steps; then the worst stars."""
+    """The inside cells, relaxed in cycles of truss steps; then the worst stars."""
     if T.count[0] == len(T.points):
         raise XfemnavError("E207", f"the mesh has over {MOST_NODES} nodes; use larger elements or a steeper growth")
     n_cells = T.count[1]
@@ -190,7 +163,6 @@ def _relaxed(T, rail, size_at) -> Mesh:
     for _ in range(CYCLES):
         h, before = size_at(p), quality
         truss(p, cells, across, h, rail, 15)
-        optimal_delaunay(p, cells, across, h, rail, 2)
         quality = mean_quality(p, cells)
         if quality < before + STALL:
             break

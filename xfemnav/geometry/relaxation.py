@@ -1,8 +1,8 @@
-"""Make a triangulation even without triangulating again: edge flips, truss forces, optimal Delaunay moves, worst
-stars.
+"""Even out a triangulation without triangulating again: edge flips, truss forces, a search about the worst nodes.
 
-`p` (n, 2) mm, `cells` (m, 3) counter-clockwise and `across` (m, 3) are changed in place. The first `rail` nodes,
-those of the outline, stay; no step ever turns a cell over. Everything is compiled by numba and bounded.
+`p` (n, 2) mm, `cells` (m, 3) counter-clockwise and `across` (m, 3), the cell opposite each corner or -1, are changed in
+place, and so are the places of the first nodes, which slide on the `rail` of the outline. No step turns a cell over.
+Everything is compiled by numba and bounded.
 """
 
 import numpy as np
@@ -74,7 +74,10 @@ def flip(p, cells, across):
 
 @njit(cache=True)
 def _step(p, move, cells, h, rail):
-    """Move the free nodes by `move` (n, 2) mm, at most .2 h each; nodes of cells that would become flat stay."""
+    """Move the nodes by `move` (n, 2) mm, at most .2 h each, those of the outline by its part along their rail.
+
+    Nodes of cells that would become flat stay.
+    """
     old, places = p.copy(), rail.places.copy()
     for a in range(len(p)):
         length = np.hypot(move[a, 0], move[a, 1])
@@ -139,29 +142,6 @@ def truss(p, cells, across, h, rail, n_steps):
                         move[b, 1] += force * dy
         _step(p, move, cells, h, rail)
     flip(p, cells, across)
-
-
-@njit(cache=True)
-def optimal_delaunay(p, cells, across, h, rail, n_steps):
-    """Move nodes to the mean of the circumcentres of their cells, weighted by area / h^2 (Chen & Xu 2004)."""
-    for _ in range(n_steps):
-        move, weight = np.zeros_like(p), np.zeros(len(p))
-        for t in range(len(cells)):
-            a, b, c = cells[t]
-            bx, by, cx, cy = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[c, 0] - p[a, 0], p[c, 1] - p[a, 1]
-            area = (bx * cy - by * cx) / 2
-            ux = p[a, 0] + (cy * (bx * bx + by * by) - by * (cx * cx + cy * cy)) / (4 * area)
-            uy = p[a, 1] + (bx * (cx * cx + cy * cy) - cx * (bx * bx + by * by)) / (4 * area)
-            w = area / (h[a] + h[b] + h[c]) ** 2
-            for k in (a, b, c):
-                move[k, 0] += w * (ux - p[k, 0])
-                move[k, 1] += w * (uy - p[k, 1])
-                weight[k] += w
-        for k in range(len(p)):
-            move[k] /= weight[k]
-        move[: len(rail.places)] = 0
-        _step(p, move, cells, h, rail)
-        flip(p, cells, across)
 
 
 @njit(cache=True)
