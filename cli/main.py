@@ -43,9 +43,6 @@ def main(argv: list[str] | None = None) -> None:
         code = error.exit_code or EXIT_DATA
     except (KeyboardInterrupt, click.Abort):
         code = 130
-    except BrokenPipeError:
-        sys.stderr.close()  # nobody reads any more; the interpreter would complain about it when it ends
-        code = 141
     except Exception as error:  # the last resort: what gets here is a bug, and is told as one
         if traced:
             traceback.print_exc()

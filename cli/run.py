@@ -164,6 +164,9 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
             raise
         complain("interrupted; finished stages are kept, so the same command goes on from there.")
         return 128 + error.signum
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
+        return 128 + signal.SIGPIPE
     teller.warnings(record)
     if as_json:
         teller.json(record)

@@ -96,12 +96,19 @@ def test_a_bug_is_told_as_one(head, capfd, monkeypatch):
     assert "Traceback" in xfemnav(capfd, *command(head, "-vv"))[2]
 
 
-def test_reader_that_goes_away_is_no_traceback(head):
-    process = subprocess.Popen([*XFEMNAV, "schema"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+@pytest.mark.parametrize("arguments", [["schema"], ["run"]])
+def test_reader_that_goes_away_is_no_traceback(head, arguments):
+    """Row 42, SIGPIPE: `xfemnav ... | head -0`."""
+    arguments = command(head) if arguments == ["run"] else arguments
+    process = subprocess.Popen([*XFEMNAV, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()
-    assert b"Traceback" not in process.stderr.read()
+    stderr, _ = process.stderr.read(), process.wait()
+    assert b"Traceback" not in stderr and b"Exception" not in stderr
+    if arguments[0] == "run":
+        record = json.loads((head.parent / "head_xfemnav" / "run.json").read_text())
+        jsonschema.validate(record, run_schema())
+        assert process.returncode == 141 == record["exit_code"] and record["status"] == "interrupted"
     process.stderr.close()
-    process.wait()
 
 
 def test_printable_keeps_a_message_on_one_line():

@@ -152,6 +152,8 @@ def failure(error: BaseException) -> dict:
         return {"status": "failed", "exit_code": exit_code, "error": {"code": error.code, "text": error.message}}
     if isinstance(error, Interrupted | KeyboardInterrupt):
         return {"status": "interrupted", "exit_code": 128 + getattr(error, "signum", 2)}
+    if isinstance(error, BrokenPipeError):  # whoever read our lines has gone away
+        return {"status": "interrupted", "exit_code": 141}
     text = f"{type(error).__name__}: {error}"
     return {"status": "failed", "exit_code": FAULTS["E900"].exit_code, "error": {"code": "E900", "text": text}}
 
