@@ -50,6 +50,7 @@ def test_area_is_that_of_the_mask(a, b, s1, s2):
     assert area == pytest.approx((mask.sum() - np.pi) * s1 * s2, rel=0.003)
 
 
+@pytest.mark.filterwarnings("ignore:W207")
 @settings(max_examples=80, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.8, 4), st.floats(0.3, 0.7))
 def test_outline_of_any_blob_is_one_simple_loop(seed, size, share):
@@ -88,6 +89,7 @@ def test_an_organ_cut_by_the_edge_of_the_slice_is_closed_there():
     np.testing.assert_allclose(loop.min(axis=0), [-0.5, -0.5], atol=0.05)
 
 
+@pytest.mark.filterwarnings("ignore:W207")
 def test_the_largest_of_several_loops_is_taken():
     mask = np.zeros((60, 40), bool)
     mask[5:30, 5:30], mask[40:50, 5:15] = True, True

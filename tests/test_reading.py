@@ -172,7 +172,8 @@ def test_impossible_header_fields(tmp_path, fields):
 
 
 @pytest.mark.parametrize("content", [b"", b"\0", b"hello\n" * 100, gzip.compress(b"hello", mtime=0),
-                                     b"\x89PNG\r\n" + bytes(999), nifti()[:300], nifti(magic=b"ni1"), nifti(sizeof_hdr=7)])
+                                     b"\x89PNG\r\n" + bytes(999),
+                                     nifti()[:300], nifti(magic=b"ni1"), nifti(sizeof_hdr=7)])
 def test_not_an_image(tmp_path, content):
     name = "image.nii.gz" if content[:1] == b"\x1f" else "image.nii"
     assert code_of(written(tmp_path, content, name)) == "E106"

@@ -82,7 +82,8 @@ def _encode(value, name: str, arrays: dict):
     if isinstance(value, tuple | list):
         return {type(value).__name__: [_encode(item, f"{name}.{i}", arrays) for i, item in enumerate(value)]}
     if isinstance(value, dict):
-        return {"dict": [[key, _encode(item, f"{name}.{key}", arrays)] for key, item in value.items()]}
+        # By number: a key may hold characters that no name of a zip member can.
+        return {"dict": [[key, _encode(item, f"{name}.{i}", arrays)] for i, (key, item) in enumerate(value.items())]}
     if dataclasses.is_dataclass(value):
         kept = [f.name for f in dataclasses.fields(value) if f.init]
         return {
