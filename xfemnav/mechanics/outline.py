@@ -183,14 +183,14 @@ def _measured(space, rim, measured):
             "E408", f"measured point ({x:.1f}, {y:.1f}) mm is {off.max():.1f} mm from the outline; check its frame."
         )
     total = outline.length
-    mouths = _mouth_arcs(sub, outline)
+    mouths, entering = _mouth_arcs(sub, outline)
     origin = mouths[0] if len(mouths) else 0.0
     # A facet's end at a mouth belongs to the facet's own side: a point a little inside the facet tells which.
     inside = _arc(outline, rim.points + 1e-6 * (rim.middles - rim.points), origin)
     rim_arc = inside + np.mod(_arc(outline, rim.points, origin) - inside + total / 2, total) - total / 2
     arc = _arc(outline, measured[:, :2], origin)
     if measured.shape[1] == 5:
-        arc = _beside_mouth(arc, measured[:, 4], np.mod(mouths - origin, total), total)
+        arc = _beside_mouth(arc, measured[:, 4], np.mod(mouths - origin, total), entering, total)
     bounds = (
         np.concatenate([np.sort(np.mod(mouths - origin, total)), [total]]) if len(mouths) else np.array([0.0, total])
     )
@@ -215,20 +215,21 @@ def _arc(outline, points, origin):
 
 
 def _mouth_arcs(sub, outline):
-    """Position (m,) mm along the outline of every place where a cut meets it."""
+    """Position (m,) mm along the outline of every place where a cut meets it, and +1 if it enters, -1 if it leaves."""
     ends = np.array([path[end] for path in sub.paths for end in (0, -1)]).reshape(-1, 2)
     on = outline.distance(shapely.points(ends)) < 1e-6
-    return shapely.line_locate_point(outline, shapely.points(ends[on]))
+    return shapely.line_locate_point(outline, shapely.points(ends[on])), np.tile([1, -1], len(sub.paths))[on]
 
 
-def _beside_mouth(arc, side, mouths, total):
+def _beside_mouth(arc, side, mouths, entering, total):
     """Put measured points with a side on that side of a mouth nearer than 5 mm.
 
-    With tissue on the left of the outline, the lip on the left of a cut that enters ends before the mouth.
+    With tissue on the left of the outline, the lip on the left of a cut that enters ends before the mouth, and that of
+    one that leaves, right through the organ, begins after it.
     """
     arc = arc.copy()
-    for mouth in mouths:
+    for mouth, sense in zip(mouths, entering):
         ahead = np.mod(arc - mouth + total / 2, total) - total / 2
-        wrong = (np.abs(ahead) < 5) & (side * ahead >= 0) & (side != 0)
-        arc[wrong] = np.mod(mouth - 1e-7 * side[wrong], total)
+        wrong = (np.abs(ahead) < 5) & (side * sense * ahead >= 0) & (side != 0)
+        arc[wrong] = np.mod(mouth - 1e-7 * sense * side[wrong], total)
     return arc
