@@ -66,6 +66,20 @@ def space_of(mesh, *cuts, tip_enrichment="topological") -> Space:
     return Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment))
 
 
+def measured_outline(mesh, cut, u) -> np.ndarray:
+    """Rows x, y, ux, uy, side of a field u(points, side) at all ends of outline facets of the cut mesh.
+
+    `side` is that of the facet: +1 left and -1 right of the walk along a straight or slightly bent cut.
+    """
+    subcells = embed(mesh, (cut,))
+    a, b = subcells.rim_ends.swapaxes(0, 1)
+    path = subcells.paths[0]
+    travel = path[-1] - path[0]
+    side = np.sign(orient(path[0], path[0] + travel, (a + b) / 2))
+    points, side = np.concatenate([a, b]), np.tile(side, 2)
+    return np.column_stack([points, u(points, side), side])
+
+
 def turn(angle) -> np.ndarray:
     """Rotation matrix (2, 2), counter-clockwise, rad."""
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
