@@ -79,7 +79,7 @@ def test_every_command_on_a_page_can_be_parsed(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 def test_every_option_on_a_page_exists(page):
-    known = {"--noise", "--help"}
+    known = {"--help"}
     stack = [cli]
     while stack:
         command = stack.pop()
