@@ -1,6 +1,6 @@
 """Side by side: the warp's exact map and sampling against matplotlib, scipy and SimpleITK on the same mesh and image.
 
-    python benchmarks/warp.py [--nodes 5000] [--size 512] [--repeats 7]
+    python -m benchmarks.warp [--nodes 5000] [--size 512] [--repeats 7]
 
 The rows are timed in turns, so that a busy machine is busy for all; the table has medians, minima, and the medians'
 ratios to matplotlib's.

@@ -128,10 +128,10 @@ def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "l
     with `outside="zero"`.
     """
     values = np.asarray(values)
-    kept = {"keep": values, "zero": np.zeros_like(values)}[outside]
-    updated = kept.astype(values.dtype if interp == "nearest" else np.float32, order="C")
+    dtype = values.dtype if interp == "nearest" else np.dtype(np.float32)
+    updated = values.astype(dtype, order="C") if outside == "keep" else np.zeros(values.shape, dtype)
     empty = organ & ~pull_back.tissue
-    np.putmask(updated, empty, fill)
+    np.copyto(updated, dtype.type(fill), where=empty)
     cavity, vacated = (empty, np.zeros_like(empty)) if now is None else (empty & now, empty & ~now)
     _sample_into(updated, values, origin, spacing, pull_back.resting, interp)
     return Update(updated, cavity, vacated, pull_back)
