@@ -1,6 +1,7 @@
 """The command itself: exit codes, what is printed where, signals, concurrency, a full disk, and the small commands."""
 
 import errno
+import itertools
 import json
 import os
 import random
@@ -18,6 +19,7 @@ from small import CUT, OPEN, QUICK, write, xfemnav
 from xfemnav.pipeline import disk, stages
 from xfemnav.pipeline.runfile import run_schema
 from xfemnav.pipeline.scenario import problems
+from xfemnav_cli.main import main
 from xfemnav_cli.telling import printable
 
 XFEMNAV = [sys.executable, "-c", "from xfemnav_cli.main import main; main()"]
@@ -138,6 +140,41 @@ def test_two_runs_in_one_folder_wait_for_each_other(head):
     assert [process.returncode for process in pair] == [0, 0], texts
     assert sum("waiting" in text for text in texts) <= 1
     assert len(outputs(head.parent / "head_xfemnav")) == 7
+
+
+def killed_at_rename(n, arguments):
+    """Run in a child that dies by SIGKILL just before its n-th rename; True if it got through instead."""
+    child = os.fork()
+    if child == 0:
+        real, count = os.replace, itertools.count(1)
+
+        def replace(source, target):
+            if next(count) == n:
+                os.kill(os.getpid(), signal.SIGKILL)
+            real(source, target)
+
+        os.replace = replace
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        try:
+            main(arguments)
+        except SystemExit as end:
+            os._exit(end.code or 0)
+    return os.waitpid(child, 0)[1] == 0
+
+
+def test_death_before_any_rename_leaves_one_whole_run_or_a_folder_that_says_so(head, capfd):
+    """A new opening changes most public files, one after the other: never a mixture under a complete record."""
+    out = head.parent / "head_xfemnav"
+    one, other = command(head), command(head, "--opening-mm", "3")
+    xfemnav(capfd, *other, "-o", "other")
+    new = outputs(head.parent / "other")
+    for deaths in itertools.count():
+        assert xfemnav(capfd, *one)[0] == 0
+        old = outputs(out)
+        if killed_at_rename(deaths + 1, other):
+            break
+        assert outputs(out) in ({}, old)
+    assert deaths >= 6 and outputs(out) == new  # run.json, the solution, four images, and run.json again
 
 
 def chaos(head, capfd, kills):
