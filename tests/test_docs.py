@@ -2,8 +2,11 @@
 
 import ast
 import json
+import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -130,3 +133,25 @@ def test_worked_case_is_one_command_in_all_its_places():
     line = next(line.strip() for line in (ROOT / "README.md").read_text().splitlines() if "-o out/worked-case" in line)
     assert line in (ROOT / "docs/worked-case.md").read_text()
     assert line in (ROOT / "Makefile").read_text()
+
+
+@pytest.mark.slow
+def test_worked_case_runs_as_it_is_written(tmp_path):
+    """Every command, the scenario and the Python block of the page, in a folder of their own."""
+    text = (ROOT / "docs/worked-case.md").read_text()
+    call = "from xfemnav_cli.main import main; main()"
+    programs = {"python": [sys.executable], "xfemnav": [sys.executable, "-c", call]}
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "XFEMNAV_CACHE": str(tmp_path / "cache")}
+    before, after = text.split("## The same as a scenario")
+    for part, folder in ((before, tmp_path), (after, tmp_path / "out/phantom")):
+        for scenario in blocks(part, "toml"):
+            (folder / "approach.toml").write_text(scenario)
+        for line in re.findall(r"^ {4}((?:python|xfemnav) .*)$", part, flags=re.MULTILINE):
+            name, *words = shlex.split(line)
+            subprocess.run([*programs[name], *words], cwd=folder, env=environment, check=True)
+    lines = [line.split("#")[0].rstrip() for line in blocks(text, "python")[0].splitlines()]
+    shown = "\n".join(f"print({line})" if line.startswith("result.") else line for line in lines)
+    done = subprocess.run([sys.executable, "-c", shown], cwd=tmp_path, capture_output=True, text=True, check=True)
+    vectors = [[float(x) for x in line.strip("[]").split()] for line in done.stdout.splitlines()]
+    assert [len(vector) for vector in vectors] == [2, 2, 2]
+    assert json.loads((tmp_path / "out/worked-case/run.json").read_text())["warnings"] == []
