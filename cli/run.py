@@ -43,6 +43,8 @@ MESH = (
     click.option("--element-size-mm", type=float, metavar="H", help="Edge length of the elements.  [3]"),
     click.option("--corridor-mm", type=float, metavar="W", help="Fine band on either side of the cuts; 0: none.  [12]"),
     click.option("--corridor-element-mm", type=float, metavar="H", help="Edge length there.  [1]"),
+    click.option("--grade-at-data-ends", is_flag=True, default=None,
+                 help="Finer where held lips end and where the outline begins to be held (verification)."),
 )
 MECHANICS = (
     click.option("--left", metavar="DX,DY", help="Displacement of the left lip, plane mm (of the first cut)."),
@@ -157,7 +159,6 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         with _signals_raise():
             record = job.run(config, options, job.Listener(teller.started, teller.finished, teller.waiting))
     except (XfemnavError, job.Interrupted) as error:
-        teller.stop()
         if as_json:
             teller.json({"schema": job.SCHEMA} | job.failure(error))
         if isinstance(error, XfemnavError):
@@ -167,6 +168,8 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
         return 128 + signal.SIGPIPE
+    finally:
+        teller.stop()
     teller.warnings(record)
     if as_json:
         teller.json(record)

@@ -41,18 +41,6 @@ class SegmentParams:
 
 
 @dataclass(frozen=True)
-class MeshParams:
-    """Sizes of the elements; `corridor` are paths in the user's `space`, empty when the mesh is uniform."""
-
-    from_file: bool
-    element_size_mm: float | None
-    corridor_mm: float
-    corridor_element_mm: float | None
-    corridor: tuple[tuple[tuple[float, ...], ...], ...]
-    space: str
-
-
-@dataclass(frozen=True)
 class CutParams:
     """One drawn cut, points in the user's space."""
 
@@ -60,6 +48,31 @@ class CutParams:
     points: tuple[tuple[float, ...], ...]
     craniotomy: bool
     internal: bool
+
+
+@dataclass(frozen=True)
+class DataEnds:
+    """Where the data of a retraction stop: blades (cut's index, from, to), how far from a mouth the outline is held."""
+
+    cuts: tuple[CutParams, ...]
+    blades: tuple[tuple[int, float, float], ...]
+    grip_mm: float | None
+
+
+@dataclass(frozen=True)
+class MeshParams:
+    """Sizes of the elements; `corridor` are paths in the user's `space`, empty when the mesh is uniform.
+
+    Only `data_ends`, None unless asked for, make a mesh depend on blades and skull.
+    """
+
+    from_file: bool
+    element_size_mm: float | None
+    corridor_mm: float
+    corridor_element_mm: float | None
+    corridor: tuple[tuple[tuple[float, ...], ...], ...]
+    data_ends: DataEnds | None
+    space: str
 
 
 @dataclass(frozen=True)
@@ -194,21 +207,35 @@ def _filled(r, s: "Scenario"):
 
 def _mesh_params(s: "Scenario") -> MeshParams:
     """Sizes; the cuts are in it only where they draw the corridor."""
-    uniform = MeshParams(False, s.mesh.element_size_mm, 0.0, None, (), s.space)
+    uniform = MeshParams(False, s.mesh.element_size_mm, 0.0, None, (), _data_ends(s), s.space)
     if s.mesh.file is not None:
-        return replace(uniform, from_file=True, element_size_mm=None, space="ras")
+        return replace(uniform, from_file=True, element_size_mm=None, data_ends=None, space="ras")
     paths = (s.mesh.corridor,) if s.mesh.corridor is not None else tuple(cut.points for cut in s.cut)
     if s.mesh.corridor_mm == 0 or not paths:
-        return replace(uniform, space="ras")
+        return uniform if uniform.data_ends else replace(uniform, space="ras")
     return replace(uniform, corridor=paths, corridor_mm=s.mesh.corridor_mm,
                    corridor_element_mm=s.mesh.corridor_element_mm)
+
+
+def _cuts(s: "Scenario") -> tuple[CutParams, ...]:
+    return tuple(CutParams(cut.name, cut.points, cut.craniotomy, cut.internal) for cut in s.cut)
+
+
+def _data_ends(s: "Scenario") -> DataEnds | None:
+    if not s.mesh.grade_at_data_ends:
+        return None
+    names = [cut.name for cut in s.cut]
+    blades = tuple((names.index(r.cut), *(r.blade or BLADE)) for r in s.retract)
+    boundary = s.boundary
+    grip = None if boundary.skull == "free" else boundary.craniotomy_mm + boundary.skull_ramp_mm
+    return DataEnds(_cuts(s), blades, grip)
 
 
 def _constrain_params(s: "Scenario", measured: Path | None) -> ConstrainParams:
     names = [cut.name for cut in s.cut]
     rows = None if measured is None else read_displacements(measured)
     return ConstrainParams(
-        cuts=tuple(CutParams(cut.name, cut.points, cut.craniotomy, cut.internal) for cut in s.cut),
+        cuts=_cuts(s),
         retractions=tuple(
             RetractParams(names.index(r.cut), 1 if r.side == "left" else -1, r.displacement_mm,
                           r.normal_mm, r.force_mN_per_mm, r.blade) for r in s.retract),

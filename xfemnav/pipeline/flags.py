@@ -29,6 +29,7 @@ FLAGS: dict[str, str] = {
     "element_size_mm": "mesh.element_size_mm",
     "corridor_mm": "mesh.corridor_mm",
     "corridor_element_mm": "mesh.corridor_element_mm",
+    "grade_at_data_ends": "mesh.grade_at_data_ends",
     "young_kpa": "tissue.young_kpa",
     "poisson": "tissue.poisson",
     "skull": "boundary.skull",

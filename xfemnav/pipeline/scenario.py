@@ -115,6 +115,8 @@ class MeshSection(Section):
     corridor_element_mm: Positive = Field(1.0, description="edge length of the elements there")
     corridor: Annotated[tuple[Point, ...], Strict(False)] | None = Field(
         None, description="the planned region's path, in place of the cuts themselves")
+    grade_at_data_ends: bool = Field(
+        False, description="finer where held lips end and where the outline begins to be held, for verification")
 
 
 class SolveSection(Section):

@@ -79,11 +79,19 @@ def mesh(params, inputs):
     from xfemnav.imaging.outline import outline_of
     from xfemnav.imaging.slices import plane_points
 
-    size = params.element_size_mm
+    size, focus = params.element_size_mm, ()
+    outline = outline_of(segmentation.mask, slice.origin, slice.spacing)
+    if params.data_ends is not None:
+        from xfemnav.geometry.grading import data_ends
+
+        ends = params.data_ends
+        focus = data_ends(outline, _placed(slice, ends.cuts, params.space, outline), ends.blades, ends.grip_mm)
+        size = SizeField(size, focus=focus)
     if params.corridor:
         corridor = tuple(plane_points(slice, path, params.space) for path in params.corridor)
-        size = SizeField(size, min(size, params.corridor_element_mm), params.corridor_mm, corridor)
-    return distmesh(outline_of(segmentation.mask, slice.origin, slice.spacing), size)
+        fine = min(params.element_size_mm, params.corridor_element_mm)
+        size = SizeField(params.element_size_mm, fine, params.corridor_mm, corridor, focus)
+    return distmesh(outline, size)
 
 
 def mesh_facts(value, inputs):
@@ -121,19 +129,24 @@ def mesh_publish(value, inputs, folder):
 
 # constrain: mesh, cuts, blades -> boundary value problem ------------------------------------------------------------
 
+def _placed(slice, cuts, space, outline):
+    """The drawn cuts as they run inside an outline."""
+    from xfemnav.geometry.cut import place_cut
+    from xfemnav.imaging.slices import plane_points
+
+    return tuple(place_cut(plane_points(slice, cut.points, space), outline, cut.name, internal=cut.internal,
+                           craniotomy=cut.craniotomy) for cut in cuts)
+
+
 def constrain(params, inputs):
     """The cuts embedded in the mesh, and the conditions on lips and outline: a Problem."""
     import numpy as np
 
-    from xfemnav.geometry.cut import place_cut
-    from xfemnav.imaging.slices import plane_points
     from xfemnav.mechanics.problem import Material, Retraction, Skull, pose
 
     slice, _ = inputs.value("segment")
     mesh = inputs.value("mesh")
-    outline = mesh.points[mesh.boundary_loops[0]]
-    cuts = tuple(place_cut(plane_points(slice, cut.points, params.space), outline, cut.name, internal=cut.internal,
-                           craniotomy=cut.craniotomy) for cut in params.cuts)
+    cuts = _placed(slice, params.cuts, params.space, mesh.points[mesh.boundary_loops[0]])
     blades = tuple(Retraction(cut=r.cut, side=r.side, displacement_mm=r.displacement_mm, normal_mm=r.normal_mm,
                               force_mN_per_mm=r.force_mN_per_mm, blade=r.blade) for r in params.retractions)
     measured = params.boundary_displacement
