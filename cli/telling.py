@@ -2,6 +2,9 @@
 
 import json
 import sys
+import threading
+
+PATIENCE_S = 0.5  # stages that take longer show on a terminal that they work
 
 
 def printable(text: str) -> str:
@@ -19,7 +22,7 @@ class Teller:
 
     def __init__(self, *, as_json: bool, quiet: bool, verbose: int):
         self.as_json, self.quiet, self.verbose = as_json, quiet, verbose
-        self.spinner = None
+        self.timer = self.spinner = None
 
     def say(self, text: str) -> None:
         """One line of human text."""
@@ -27,15 +30,24 @@ class Teller:
             print(printable(text), file=sys.stderr if self.as_json else sys.stdout, flush=True)
 
     def started(self, stage: str) -> None:
-        """A stage has begun: on a terminal, show that it works."""
+        """A stage has begun: on a terminal, show after a moment that it works."""
         if sys.stderr.isatty() and not self.quiet:
-            from rich.console import Console
+            self.timer = threading.Timer(PATIENCE_S, self._spin, (stage,))
+            self.timer.daemon = True
+            self.timer.start()
 
-            self.spinner = Console(stderr=True).status(f"{stage} ...")
-            self.spinner.start()
+    def _spin(self, stage: str) -> None:
+        from rich.console import Console
+
+        self.spinner = Console(stderr=True).status(f"{stage} ...")
+        self.spinner.start()
 
     def stop(self) -> None:
         """Take the sign of work away."""
+        if self.timer is not None:
+            self.timer.cancel()
+            self.timer.join()
+            self.timer = None
         if self.spinner is not None:
             self.spinner.stop()
             self.spinner = None

@@ -16,7 +16,7 @@ import jsonschema
 import pytest
 from small import CUT, OPEN, QUICK, write, xfemnav
 
-from xfemnav.pipeline import disk, stages
+from xfemnav.pipeline import disk, locks, stages
 from xfemnav.pipeline.runfile import run_schema
 from xfemnav.pipeline.scenario import problems
 from xfemnav_cli.main import main
@@ -240,6 +240,16 @@ def test_unwritable_cache_is_a_warning_and_unwritable_output_an_error(head, capf
     code, _, stderr = xfemnav(capfd, *command(head, "-w", str(blocked / "cache")))
     assert code == 0 and "W602 " in stderr
     code, _, stderr = xfemnav(capfd, *command(head, "-o", str(blocked / "out")))
+    assert code == 73 and stderr.startswith("E502 ")
+
+
+def test_disk_without_locks_is_one_error(head, capfd, monkeypatch):
+    """Row 45: flock on a network disk that has none."""
+    def flock(handle, kind):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(locks.fcntl, "flock", flock)
+    code, _, stderr = xfemnav(capfd, *command(head))
     assert code == 73 and stderr.startswith("E502 ")
 
 
