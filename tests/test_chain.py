@@ -12,14 +12,17 @@ import meshio
 import nibabel as nib
 import numpy as np
 import pytest
+import SimpleITK as sitk
+from scipy.ndimage import binary_erosion
 from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 
+from xfemnav.pipeline import keys
 from xfemnav.pipeline.chain import recorded
 from xfemnav.pipeline.config import STAGES, configure
 from xfemnav.pipeline.runfile import public_name, run_schema
 from xfemnav.pipeline.scenario import problems
 
-ROLES = {"mask", "mesh", "solution", "updated", "cavity", "overlap", "field"}
+ROLES = {"mask", "mesh", "solution", "updated", "cavity", "overlap", "field", "transform"}
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +92,23 @@ def test_dry_run_says_what_would_run_and_runs_nothing(run, home, capfd):
     code, stdout, _ = xfemnav(capfd, *base, "--poisson", "0.31", "-o", "never")
     assert [line.split()[1] for line in stdout.splitlines()] == ["cached", "cached", "would", "would", "would"]
     assert not (home / "never").exists()
+
+
+def test_edited_helper_in_mechanics_spares_the_mesh(run, tmp_path, capfd, monkeypatch):
+    """Row 48: keys cover the code that a stage can reach."""
+    copy = shutil.copytree(keys.PACKAGE, tmp_path / "xfemnav", ignore=shutil.ignore_patterns("__pycache__"))
+    digest_of = keys.code_digest.__wrapped__
+    monkeypatch.setattr(keys, "code_digest", lambda layers: digest_of(layers, copy))
+    base = ("run", "sub-01_T1w.nii.gz", "-w", "cache", *QUICK, "--cut", CUT, *OPEN, "--dry-run")
+
+    def states():
+        return [line.split()[1] for line in xfemnav(capfd, *base)[1].splitlines()]
+
+    assert states() == ["cached"] * 5
+    for edited, expected in (("mechanics/branch.py", ["cached", "cached", "would", "would", "would"]),
+                             ("geometry/mesh.py", ["would"] * 5)):
+        (copy / edited).write_text((copy / edited).read_text() + "# edited\n")
+        assert states() == expected, edited
 
 
 def test_damaged_entry_is_healed_and_said(run, home):
@@ -234,3 +254,16 @@ def test_a_template_moderates_the_segmentation(run, home):
     found = np.squeeze(nib.load(home / "svc" / record["outputs"]["mask"]).get_fdata()) > 0
     overlap = 2 * (found & (brain() > 0)).sum() / (found.sum() + (brain() > 0).sum())
     assert overlap > 0.95
+
+
+def test_itk_resamples_with_the_transform_as_the_run_did(run, home):
+    """Away from lips and rims SimpleITK, given the preoperative slice and the transform, makes the updated slice."""
+    record, _ = run()
+    images = {role: sitk.ReadImage(home / "out" / record["outputs"][role]) for role in ("updated", "cavity")}
+    before = sitk.ReadImage(home / "sub-01_T1w.nii.gz", sitk.sitkFloat32)
+    transform = sitk.ReadTransform(home / "out" / record["outputs"]["transform"])
+    values = {name: sitk.GetArrayFromImage(image)[0] for name, image in images.items()}
+    resampled = sitk.GetArrayFromImage(sitk.Resample(before, images["updated"], transform, sitk.sitkLinear))[0]
+    tissue = binary_erosion((values["updated"] > 0) & (values["cavity"] == 0), iterations=3)
+    assert tissue.sum() > 800
+    np.testing.assert_allclose(resampled[tissue], values["updated"][tissue], rtol=1e-5)
