@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-CORNER = np.radians(40)  # an outline that turns by more keeps a node there
-BEND = np.radians(12)  # a node where it turns by more does not slide: its edges would cut the bend
+CORNER = np.radians(40)  # an outline that turns by more, from h/3 before to h/3 after a point, keeps a node there
+KINK = np.radians(4.5)  # a node where it turns by more within h/9 does not slide: its edges would cut the kink
 
 
 class Rail(NamedTuple):
@@ -38,11 +38,11 @@ def outline_nodes(outline, size_at) -> Rail:
     """Nodes on the closed `outline` (n, 2) mm: its corners, and between them equal parts, near 1, of its ticks."""
     points = _dense(outline, size_at)
     h = size_at(points)
-    turn = _turns(points, h)
-    corners = np.flatnonzero(_corners(points, h, turn))
+    corners = np.flatnonzero(_corners(points, h, _turns(points, h / 3)))
+    kink = _turns(points, h / 9)
     first = corners[0] if len(corners) else 0
     loop = np.append(np.roll(np.arange(len(points)), -first), first)
-    points, h, turn = points[loop], h[loop], turn[loop]
+    points, h, kink = points[loop], h[loop], kink[loop]
     corners = corners - first
     length = np.linalg.norm(np.diff(points, axis=0), axis=1)
     ticks = np.append(0, np.cumsum(length * (1 / h[1:] + 1 / h[:-1]) / 2))
@@ -53,7 +53,7 @@ def outline_nodes(outline, size_at) -> Rail:
         n = max(fewest, round(stop - start))
         places.append(start + (stop - start) * np.arange(n) / n)
     places = np.concatenate(places)
-    return Rail(points, ticks, places, np.interp(places, ticks, turn) < BEND)
+    return Rail(points, ticks, places, np.interp(places, ticks, kink) < KINK)
 
 
 def rail_nodes(rail) -> np.ndarray:
@@ -77,17 +77,17 @@ def _dense(outline, size_at) -> np.ndarray:
 
 
 @njit(cache=True)
-def _turns(points, h):
-    """Angle (n,) by which the closed outline turns at each point, between h/3 before and h/3 after it.
+def _turns(points, reach):
+    """Angle (n,) by which the closed outline turns at each point, from `reach` (n,) mm before it to `reach` after it.
 
-    The scale keeps the steps of a pixel contour from being corners.
+    The reach keeps the steps of a pixel contour from being corners.
     """
     n = len(points)
     turn, ends = np.zeros(n), np.empty((2, 2))
     for a in range(n):
         for k in range(2):
             step = 2 * k - 1
-            b, left = a, h[a] / 3
+            b, left = a, reach[a]
             x, y = points[a]
             for _ in range(n):
                 b = (b + step) % n

@@ -200,7 +200,7 @@ def lift_worst(p, cells, across, h, rail, below, rounds):
                         tried, angle = 0.0, np.pi / 3 * direction
                         p[a, 0], p[a, 1] = x + reach * h[a] * np.cos(angle), y + reach * h[a] * np.sin(angle)
                     q = _star_score(p, cells, first, cell, a)
-                    if q > best + 0.01 * (1 - best):
+                    if q > best + 1e-3:
                         best, improved, place = q, True, tried
                         x, y = p[a]
                 p[a, 0], p[a, 1] = x, y
