@@ -28,6 +28,7 @@ NAMES = {
     "cavity": ("cavity", "mask", ".nii.gz"),
     "overlap": ("overlap", "mask", ".nii.gz"),
     "field": ("field", "xfm", ".nii.gz"),
+    "transform": ("updated", "xfm", ".h5"),
 }
 SIDECARS = {
     "mask": {"Description": "Organ in the slice, holes filled", "Type": "Brain"},

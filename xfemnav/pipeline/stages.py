@@ -268,6 +268,7 @@ def warp_publish(value, inputs, folder):
     import numpy as np
 
     from xfemnav.imaging.slices import to_nifti
+    from xfemnav.imaging.transform import bridged, write_transform
     from xfemnav.imaging.vectors import vector_nifti
     from xfemnav.pipeline.files import write_nifti
 
@@ -276,6 +277,7 @@ def warp_publish(value, inputs, folder):
     write_nifti(folder / "cavity.nii.gz", to_nifti(slice, value.cavity, np.uint8))
     write_nifti(folder / "overlap.nii.gz", to_nifti(slice, value.overlap, np.uint8))
     write_nifti(folder / "field.nii.gz", vector_nifti(slice, value.field @ slice.axes[:2]))
+    write_transform(folder / "transform.h5", slice, bridged(value.pull_back, value.cavity | value.vacated))
 
 
 # the picture and the page -------------------------------------------------------------------------------------------
