@@ -33,19 +33,23 @@ def disc() -> np.ndarray:
     return RADIUS * np.stack([np.cos(t), np.sin(t)], axis=1)
 
 
-def switches() -> np.ndarray:
-    """The two points (2, 2) mm of the 360-gon at FREE mm from the mouth, right (x > 0) first."""
-    a, b = disc()[77], disc()[78]
-    along, start = b - a, a - np.array(MOUTH)
-    s = np.roots([along @ along, 2 * start @ along, start @ start - FREE**2])
+def switches(free_mm: float = FREE) -> np.ndarray:
+    """The two points (2, 2) mm of the 360-gon at `free_mm` from the mouth, right (x > 0) first."""
+    corners = disc()[:91]
+    k = int(np.flatnonzero(np.linalg.norm(corners - MOUTH, axis=1) >= free_mm)[-1])
+    a, along = corners[k], corners[k + 1] - corners[k]
+    start = a - MOUTH
+    s = np.roots([along @ along, 2 * start @ along, start @ start - free_mm**2])
     point = a + s[(s >= 0) & (s <= 1)][0].real * along
     return np.array([point, point * (-1, 1)])
 
 
-def retraction(held: float, tissue: Tissue = BRAIN, refinement: float = 1.0, lift=LIFT) -> Retracted:
+def retraction(
+    held: float, tissue: Tissue = BRAIN, refinement: float = 1.0, lift=LIFT, free_mm: float = FREE
+) -> Retracted:
     """Problem p with both lips held from the mouth to the fraction `held` of the cut; the left lip moves by `lift`."""
     end = np.array([0.0, MOUTH[1] - held * (MOUTH[1] - TIP[1])])
-    switch = switches()
+    switch = switches(free_mm)
     focus = (*map(tuple, switch), tuple(end), MOUTH, TIP)
     grading = Grading(4.0 / refinement, 1e-3 / refinement**2, 0.14 / refinement, focus)
     mesh = conforming_mesh(disc(), [np.array([MOUTH, TIP])], grading, [*switch, end])
