@@ -29,6 +29,8 @@ GROWTH = 0.25  # mm per mm about details that are finer than the elements
 CLOSE = 0.985  # below this mean quality the outline's shape governs the mesh, and more cells are worth a search
 WAVES = 30  # most times that waves start anew
 CYCLES, STALL = 6, 2e-3  # most cycles of relaxation; it ends when the mean quality rises by less
+# An organ of few elements gets finer ones until they are good in the mean, or this much finer.
+MEAN_QUALITY, FINER, COARSEST = 0.95, 0.75, 0.4
 ROUNDS = 12  # times that the mesh is begun anew with smaller elements at newly found details
 
 
@@ -44,9 +46,9 @@ def distmesh(outline, size: float | Callable, *, min_quality: float = 0.5) -> Me
     """
     outline = _checked(outline)
     wanted = size if callable(size) else (lambda points: np.full(len(points), float(size)))
-    spots = np.empty((0, 3))
+    spots, finer = np.empty((0, 3)), 1.0
     for _ in range(ROUNDS):
-        size_at = _lowered(wanted, spots) if len(spots) else wanted
+        size_at = _lowered(wanted, finer, spots)
         T, rail, details = _outline_triangulation(outline, size_at)
         if len(details) == 0:
             _fill_by_fronts(T, size_at)
@@ -54,8 +56,11 @@ def distmesh(outline, size: float | Callable, *, min_quality: float = 0.5) -> Me
             if not shapely.Polygon(mesh.points[: len(rail.places)]).is_valid:  # nodes slid past a bay's other shore
                 mesh = _relaxed(T, rail._replace(free=np.zeros(len(rail.free), bool)), size_at)
             details = _flat(mesh, min_quality, size_at)
-            if len(details) == 0:
+            if len(details) == 0 and (mesh.quality.mean() >= MEAN_QUALITY or finer <= COARSEST):
                 return mesh
+            if len(details) == 0:
+                finer *= FINER
+                continue
         if (details[:, 2] < SMALLEST * wanted(details[:, :2])).any():
             break
         spots = np.concatenate([spots, details])
@@ -79,10 +84,12 @@ def _checked(outline) -> np.ndarray:
     return outline if polygon.exterior.is_ccw else outline[::-1].copy()
 
 
-def _lowered(wanted, spots) -> Callable:
-    """The size `wanted`, lowered at the `spots` (k, 3) = x, y, size mm, and growing from there."""
-    slopes = np.full(len(spots), GROWTH)
-    return lambda points: np.minimum(wanted(points), cones(points, spots[:, :2].copy(), spots[:, 2].copy(), slopes))
+def _lowered(wanted, finer, spots) -> Callable:
+    """The size `wanted` times `finer`, lowered at the `spots` (k, 3) = x, y, size mm, and growing from there."""
+    if len(spots) == 0:
+        return wanted if finer == 1 else lambda points: finer * wanted(points)
+    centres, sizes, slopes = spots[:, :2].copy(), spots[:, 2].copy(), np.full(len(spots), GROWTH)
+    return lambda points: np.minimum(finer * wanted(points), cones(points, centres, sizes, slopes))
 
 
 def expected_nodes(outline, size_at: Callable) -> float:
