@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
+BENCH ?= mesh warp lips accuracy sensitivity
 
 .PHONY: help demo paper worked-case batch test test-all lint docs bench clean
 
@@ -43,9 +44,9 @@ docs: demo worked-case  ## write the generated pages and pictures of docs/ again
 	$(BIN)/python -m xfemnav.pipeline.scenariodocs > docs/scenario.md
 	$(BIN)/python docs/pictures.py
 
-bench: $(INSTALLED)  ## measurements beside other programs
+bench: $(INSTALLED)  ## measurements beside other programs and known answers; one of them: make bench BENCH=warp
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'
-	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python -m benchmarks.$$(basename $$script .py); done
+	set -e; for name in $(BENCH); do echo "== $$name"; $(BIN)/python -m benchmarks.$$name; done
 
 clean:  ## remove what the targets made, the environment too
 	rm -rf .venv build out .pytest_cache .ruff_cache .hypothesis *.egg-info

@@ -88,7 +88,8 @@ def test_every_option_on_a_page_exists(page):
         command = stack.pop()
         known |= options(command)
         stack += command.commands.values() if isinstance(command, click.Group) else ()
-    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", page.read_text())) <= known
+    own = "\n".join(line for line in page.read_text().splitlines() if "benchmarks" not in line)
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", own)) <= known
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
