@@ -91,8 +91,8 @@ def pose(
     Raises
     ------
     XfemnavError
-        E306 a piece that nothing holds, E402 a blade off its cut, E403 two blades on one lip, E405 lips pushed into
-        each other, E406 nothing holds the organ, E408 measured points off the outline.
+        E305 a cut along the outline, E306 a piece that nothing holds, E402 a blade off its cut, E403 two blades on one
+        lip, E405 lips pushed into each other, E406 nothing holds the organ, E408 measured points off the outline.
     """
     if lip_constraint not in LIP_CONSTRAINTS:
         raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
@@ -100,6 +100,7 @@ def pose(
         raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
     subcells = embed(mesh, cuts)
     space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
+    _refuse_cuts_without_lips(space, cuts)
     _warn_of_lost_cuts(space, cuts)
     n_dof = space.enrichment.n_dof
     spans = _spans(space, cuts, retractions, lip_constraint)
@@ -136,6 +137,20 @@ def pose(
         tip_enrichment,
         lip_constraint,
     )
+
+
+def _refuse_cuts_without_lips(space, cuts):
+    """A cut within 1e-3 h of the outline is snapped onto it, where tissue is on one side only: it cuts nothing."""
+    sub = space.subcells
+    for k, cut in enumerate(cuts):
+        own = sub.lip_cut == k
+        lost = cut.length - np.diff(sub.lip_arc[own], axis=1).sum()
+        if lost > 0.1 * min(cut.length, space.mesh.sizes.min()):
+            raise XfemnavError(
+                "E305",
+                f"cut '{cut.name}' runs along the outline, or along another cut, for {lost:.2g} of its "
+                f"{cut.length:.2g} mm, where it cuts nothing; keep it inside, or leave that part out.",
+            )
 
 
 def _warn_of_lost_cuts(space, cuts):
