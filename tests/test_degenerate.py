@@ -97,7 +97,7 @@ def test_every_position_is_solved_or_refused_by_name(name):
 
 @pytest.mark.filterwarnings("ignore::xfemnav.errors.XfemnavWarning")
 def test_no_position_loses_the_cut():
-    """Compliance under the same forces: within 1.2 of the generic median, for every second position; the worst is printed."""
+    """Compliance under the same forces: within 1.2 of the generic median for every second position."""
     _report({(name, 1): compare(name, 1) for name in sorted(cuts.COMPARABLE)[::2]})
 
 

@@ -85,6 +85,20 @@ def test_swapped_lips_are_refused():
     pose(MESH, (CUT,), BRAIN, HARD_SKULL, swapped[:1])  # one lip alone may be pushed anywhere
 
 
+@pytest.mark.parametrize("depth", [1e-4, 1e-6, 1e-12])
+def test_a_cut_a_hair_inside_the_outline_is_refused_not_lost(depth):
+    """Within 1e-3 h of the outline it is snapped onto it, and would open nothing in silence."""
+    mesh = grid(10, 10.0)
+    message = refused("E305", mesh, (Cut([(0.0, 3.3), (depth, 3.3), (depth, 5.6)]),), BRAIN, Skull("fixed", 2.0, 1.0))
+    assert "2.3 mm" in message
+    pose(mesh, (Cut([(0.0, 3.3), (0.05, 3.3), (0.05, 5.6)]),), BRAIN, Skull("fixed", 2.0, 1.0))
+
+
+def test_a_cut_on_top_of_another_is_refused():
+    mesh = grid(10, 10.0)
+    refused("E305", mesh, (Cut([(0.0, 3.3), (6.1, 3.3)]), Cut([(2.0, 3.3), (5.0, 3.3)], mouth=False)), BRAIN, Skull())
+
+
 def test_a_short_internal_cut_is_named():
     with pytest.warns(XfemnavWarning, match="W303"):
         pose(MESH, (cut_in(MESH, (3, 3), (9, 4), internal=True),), BRAIN, Skull())
