@@ -252,7 +252,7 @@ def warp(params, inputs):
     if updated.overlap.any():
         x, y = slice.pixel_centres()[updated.overlap].mean(axis=0)
         warn("W403", f"{updated.overlap.sum() * slice.spacing.prod():.3g} mm2 of tissue lie twice, about "
-                     f"({x:.1f}, {y:.1f}) mm: a lip has moved through the other. Hold both lips.")
+                     f"({x:.1f}, {y:.1f}) mm: a lip has moved through the other, or tissue has folded.")
     return updated
 
 
