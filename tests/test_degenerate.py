@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from tests import cuts
 from tests.meshes import BRAIN, FREE, cut_in, grid, jittered, mapped, outline
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.lips import Retraction
+from xfemnav.mechanics.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.solution import solve
@@ -59,9 +59,12 @@ def survives(name, k):
         assert error.code in LISTED, f"{name} {k}: {error}"
         return error.code
     assert np.isfinite(solution.U).all() and solution.residual <= 1e-8
-    # The lips are where they should be over the blade, so the cut is open. At a sharp kink the displacement along the
-    # normal jumps, and no field follows.
-    assert solution.lip_error_rms_mm < 0.1 or name in ("grazing", "kinks_in_a_cell", "sharp_turn")
+    # The cut is open: the mean opening over the blade is the prescribed .4 mm, up to the lip error; about half of it on
+    # a staircase, where the displacement along the normal turns by 90 degrees at each step and no field follows.
+    q, r = (lip_quadrature(problem.space, 0, side, problem.spans[0]) for side in (1, -1))
+    jump = (problem.space.basis_in(q.points, q.parts) - problem.space.basis_in(r.points, r.parts)) @ solution.U
+    opening = q.weights @ np.einsum("qi,qi->q", jump, q.normals) / q.weights.sum()
+    assert opening > 0.1 or name == "grazing"  # whose blade is shorter than an element
     assert np.abs(solution.moved - solution.rest).max() < 2.0
     return "solved"
 
