@@ -222,7 +222,7 @@ def _mouth_arcs(sub, outline):
 
 
 def _beside_mouth(arc, side, mouths, entering, total):
-    """Put measured points with a side on that side of a mouth nearer than 5 mm.
+    """Put measured points with a side on that side of a mouth nearer than 5 mm (or a fiftieth of a short outline).
 
     With tissue on the left of the outline, the lip on the left of a cut that enters ends before the mouth, and that of
     one that leaves, right through the organ, begins after it.
@@ -230,6 +230,6 @@ def _beside_mouth(arc, side, mouths, entering, total):
     arc = arc.copy()
     for mouth, sense in zip(mouths, entering):
         ahead = np.mod(arc - mouth + total / 2, total) - total / 2
-        wrong = (np.abs(ahead) < 5) & (side * sense * ahead >= 0) & (side != 0)
+        wrong = (np.abs(ahead) < min(5.0, total / 50)) & (side * sense * ahead >= 0) & (side != 0)
         arc[wrong] = np.mod(mouth - 1e-7 * sense * side[wrong], total)
     return arc
