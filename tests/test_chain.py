@@ -5,6 +5,7 @@ import json
 import random
 import shutil
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -16,7 +17,7 @@ import SimpleITK as sitk
 from scipy.ndimage import binary_erosion
 from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 
-from xfemnav.pipeline import keys
+from xfemnav.pipeline import keys, stages
 from xfemnav.pipeline.chain import recorded
 from xfemnav.pipeline.config import STAGES, configure
 from xfemnav.pipeline.runfile import public_name, run_schema
@@ -225,6 +226,38 @@ def test_warnings_are_told_again_when_all_is_cached_and_strict_makes_them_the_er
     jsonschema.validate(failed, run_schema())
     assert code == 65 == failed["exit_code"] and failed["status"] == "failed" and "--strict" in stderr
     assert [path.name for path in (home / "warned").iterdir()] == ["run.json"]  # no outputs that run.json denies
+
+
+def test_input_that_changes_under_way_is_refused_and_nothing_of_it_is_kept(home, capfd, monkeypatch):
+    """The key is of the bytes that were digested: other bytes must not be stored under it."""
+    image, later = write(home / "changing.nii.gz"), write(home / "later.nii.gz", 2 * brain())
+    monkeypatch.chdir(home)
+    command = ("run", image, "-o", "changed", "-w", "cache-of-changes", *QUICK, "--cut", CUT, *OPEN, "--fill", "3")
+    assert xfemnav(capfd, *command)[0] == 0
+    good = (home / "changed" / "changing_desc-updated.nii.gz").read_bytes()
+
+    def overwrites(value, inputs):
+        shutil.copy(later, image)
+        return stages.segment_facts(value, inputs)
+
+    monkeypatch.setitem(stages.STAGES, "segment", replace(stages.STAGES["segment"], facts=overwrites))
+    code, _, stderr = xfemnav(capfd, *command, "--force")
+    assert code == 65 and "E101 changing.nii.gz changed" in stderr
+    monkeypatch.undo()
+    monkeypatch.chdir(home)
+    write(image)
+    assert xfemnav(capfd, *command)[0] == 0
+    assert (home / "changed" / "changing_desc-updated.nii.gz").read_bytes() == good
+
+
+def test_warnings_about_a_file_are_told_of_that_file_alone(run, home):
+    """Two names for one content: the cached stages hold nothing of the first name."""
+    shutil.copy(home / "sub-01_T1w.nii.gz", home / "misnamed.nii")
+    for _ in range(2):
+        told = [item["text"] for item in run("--skull-on", "stripped", image="misnamed.nii", output="a")[0]["warnings"]]
+        assert any("misnamed.nii is gzip" in text for text in told)
+    told = [item["text"] for item in run("--skull-on", "stripped", output="b")[0]["warnings"]]
+    assert not any("misnamed" in text for text in told)
 
 
 def test_bids_names_keep_their_suffix():

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from xfemnav.errors import XfemnavWarning
+from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.pipeline.cache import Cache, Entry
 from xfemnav.pipeline.config import STAGES as ORDER
 from xfemnav.pipeline.config import Config, ReadParams
@@ -68,14 +68,19 @@ class Inputs:
         return self.values[stage]
 
     def image(self, role: str):
-        """The decoded image of an input file."""
+        """The decoded image of an input file. What reading warns of was told when the file was digested."""
         if role not in self.images:
-            from xfemnav.imaging.reading import read_image
-
-            read = self.read if role == "image" else ReadParams()
-            self.images[role] = read_image(self.files[role], volume=read.volume, nan=read.nan, spacing=read.spacing,
-                                           max_memory_gb=self.max_memory_gb)
+            with recorded():
+                self.images[role] = self.decoded(role)
         return self.images[role]
+
+    def decoded(self, role: str):
+        """Read and decode an input file."""
+        from xfemnav.imaging.reading import read_image
+
+        read = self.read if role == "image" else ReadParams()
+        return read_image(self.files[role], volume=read.volume, nan=read.nan, spacing=read.spacing,
+                          max_memory_gb=self.max_memory_gb)
 
 
 @dataclass
@@ -152,6 +157,9 @@ class Chain:
 
                 save(folder, value)
                 self.inputs.values[stage.name] = value
+            for role in self.input_facts.keys() & set(stage.files):
+                if file_digest(self.inputs.files[role]) != self.input_facts[role]["sha256"]:
+                    raise _changed(self.inputs.files[role])
             (folder / "public").mkdir()
             stage.publish(value, self.inputs, folder / "public")
             write_facts(folder, facts, caught)
@@ -166,12 +174,14 @@ class Chain:
         """Digest of the decoded voxels and affine, remembered by the digest of the file's bytes."""
         def build(folder: Path) -> None:
             with recorded() as caught:
-                image = self.inputs.image(role)
+                image = self.inputs.images[role] = self.inputs.decoded(role)
+            if image.file_digest != raw:
+                raise _changed(path)
             write_facts(folder, {"digest": image.digest, "shape": list(image.values.shape), "dtype": image.dtype,
                                  "affine": image.affine.tolist()}, caught)
 
         if not path.is_file() or path.stat().st_size > self.config.max_memory_gb * 1e9:
-            self.inputs.image(role)  # refuses it, with the reason
+            self.inputs.decoded(role)  # refuses it, with the reason
         raw = file_digest(path)
         read = self.config.read if role == "image" else ReadParams()
         zipped = path.suffix == ".gz"  # a name that disagrees with the content is told (W107)
@@ -186,6 +196,10 @@ class Chain:
             read_vtu(path, "E209")  # refuses it, with the reason
         raw = file_digest(path)
         return {"digest": raw, "sha256": raw}, ()
+
+
+def _changed(path: Path) -> XfemnavError:
+    return XfemnavError("E101", f"{path.name} changed while it was read. Run again when it is written to no more.")
 
 
 @contextmanager

@@ -38,12 +38,12 @@ class Stage:
 def segment(params, inputs):
     """The slice, and the organ's mask on it: (Slice, Segmentation)."""
     from xfemnav.imaging.segment import segment
-    from xfemnav.imaging.slices import read_mask, take_slice
+    from xfemnav.imaging.slices import take_slice, values_on
 
     slice = take_slice(inputs.image("image"), plane=params.plane, index=params.index, position_mm=params.position_mm)
     mask = None
     if "mask" in inputs.files:
-        mask = read_mask(inputs.files["mask"], slice, resample=params.resample_mask, max_memory_gb=inputs.max_memory_gb)
+        mask = values_on(inputs.image("mask"), slice, resample="nearest" if params.resample_mask else None) != 0
     templates = {role: inputs.image(role) for role in ("template", "template_mask") if role in inputs.files}
     return slice, segment(slice, method=params.method, mask=mask, skull=params.skull, **templates)
 
