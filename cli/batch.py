@@ -1,6 +1,7 @@
 """`xfemnav batch IN OUT -j N`: every slice of a folder that has a scenario beside it, each in a process of its own."""
 
 import json
+import signal
 import subprocess
 import sys
 from collections import Counter
@@ -100,6 +101,7 @@ def batch(source: Path, target: Path, jobs: int):
     items = find_items(source, target)
     if not items:
         raise click.UsageError(f"{printable(str(source))} holds no <stem>.nii.gz or .nii with a <stem>.toml beside it.")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     outcomes = run_items(items, jobs)
     click.echo("\nslice                    result     stages             message")
     for outcome in outcomes:

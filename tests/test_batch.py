@@ -90,6 +90,21 @@ def test_a_failing_slice_stops_no_other_and_nothing_is_done_twice(tmp_path):
     assert stages(target, "good") == {"cached"}
 
 
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_batch_leaves_no_run_behind(tmp_path, signum):
+    for k in range(3):
+        write_slice(tmp_path, f"slice{k}", 1.0)
+    process = batch(tmp_path, tmp_path / "out", tmp_path / "cache", start_new_session=True)
+    while not list(tmp_path.glob("out/*")):
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signum)
+    assert finished(process)[0] == 130
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process.pid, 0)  # nobody is left in its group
+    assert not (tmp_path / "out" / "slice2").exists(), "what had not begun does not begin"
+
+
 @pytest.mark.slow
 def test_twelve_slices_two_broken_killed_halfway(tmp_path):
     """kill -9 of the batch and all its runs: the next call completes, and touches no entry that was finished."""
