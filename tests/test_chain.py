@@ -260,6 +260,14 @@ def test_warnings_about_a_file_are_told_of_that_file_alone(run, home):
     assert not any("misnamed" in text for text in told)
 
 
+def test_spacing_given_by_hand_is_that_of_the_mask_too(run, home):
+    values, mask = brain(), (brain() > 0).astype(np.uint8)
+    image, organ = write(home / "bare.nii.gz", values, np.eye(4)), write(home / "bare_mask.nii.gz", mask, np.eye(4))
+    record, _ = run("--mask", organ, "--spacing", "2,2", image=image, output="bare",
+                    base=(*QUICK, *OPEN, "--space", "voxel", "--cut", "1,40 24,38"))
+    assert record["slice"]["spacing"] == [2, 2] and record["segmentation"]["area_mm2"] == 4 * mask.sum()
+
+
 def test_bids_names_keep_their_suffix():
     assert public_name(Path("sub-01_ses-a_desc-x_T1w.nii"), "updated") == "sub-01_ses-a_desc-updated_T1w.nii.gz"
     assert public_name(Path("sub-01_T1w.nii.gz"), "mask") == "sub-01_desc-brain_mask.nii.gz"

@@ -74,11 +74,15 @@ class Inputs:
                 self.images[role] = self.decoded(role)
         return self.images[role]
 
+    def reading(self, role: str) -> ReadParams:
+        """How a file is read: pixel sizes given by hand are those of the mask too, the rest is the image's alone."""
+        return {"image": self.read, "mask": ReadParams(spacing=self.read.spacing)}.get(role, ReadParams())
+
     def decoded(self, role: str):
         """Read and decode an input file."""
         from xfemnav.imaging.reading import read_image
 
-        read = self.read if role == "image" else ReadParams()
+        read = self.reading(role)
         return read_image(self.files[role], volume=read.volume, nan=read.nan, spacing=read.spacing,
                           max_memory_gb=self.max_memory_gb)
 
@@ -183,9 +187,8 @@ class Chain:
         if not path.is_file() or path.stat().st_size > self.config.max_memory_gb * 1e9:
             self.inputs.decoded(role)  # refuses it, with the reason
         raw = file_digest(path)
-        read = self.config.read if role == "image" else ReadParams()
         zipped = path.suffix == ".gz"  # a name that disagrees with the content is told (W107)
-        key = stage_key("read", ("imaging",), IMAGING, read, {"raw": raw, "zipped": zipped})
+        key = stage_key("read", ("imaging",), IMAGING, self.inputs.reading(role), {"raw": raw, "zipped": zipped})
         facts, noted = read_facts(self.cache.obtain(key, build)[0])
         return facts | {"sha256": raw}, noted
 
