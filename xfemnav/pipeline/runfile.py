@@ -123,8 +123,9 @@ class OutputFolder:
                     (self.path / name.replace(".nii.gz", ".json")).unlink(missing_ok=True)
 
     def refuse_overwriting(self, inputs: list[Path]) -> None:
-        """Raise E504 when a public file would take the place of an input."""
-        targets = {(self.path / public_name(self.image, role)).resolve() for role in (*NAMES, "figure", "report")}
+        """Raise E504 when an input would be replaced by a public file, or removed as one of the earlier run."""
+        names = self.earlier | {public_name(self.image, role) for role in (*NAMES, "figure", "report")}
+        targets = {(self.path / name).resolve() for name in names}
         for path in inputs:
             if path.resolve() in targets:
                 raise XfemnavError("E504", f"the output would overwrite the input {path}. Give another folder with -o.")
