@@ -2,9 +2,10 @@
 
     python -m benchmarks.accuracy [problem ...] [--page]
 
-Problems: a a3 b c d e f1 p-uniform p-graded angles fractions conditioning slivers; all without a name (about half an
-hour on one core). Results are kept in benchmarks/results/accuracy.json, one entry a case; the page is written from all
-of them, with --page alone from what is there. The conforming references of p are computed once, into out/reference.
+Problems: a a3 b c d e f1 f2 p-uniform p-graded angles fractions conditioning slivers; all without a name (about half
+an hour on one core). Results are kept in benchmarks/results/accuracy.json, one entry a case; the page is written from
+all of them, with --page alone from what is there. The conforming references of p are computed once, into
+out/reference.
 """
 
 import json
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.reference.cases import FRACTIONS
 from benchmarks.verification import cases, conditioning, retraction
 from benchmarks.verification.outcome import Value, cg_iterations, condition_number, reduced_system
 from benchmarks.verification.page import write_page
@@ -30,6 +32,7 @@ PROBLEMS = {
     "c": cases.inclined,
     "d": cases.williams,
     "f1": cases.arc,
+    "f2": cases.branched,
     "p-uniform": lambda n, enrichment: retraction.retracted(retraction.uniform(n), enrichment),
     "p-graded": lambda n, enrichment: retraction.retracted(retraction.graded(n, 0.5), enrichment),
 }
@@ -60,16 +63,16 @@ def angles(problem: str):
 
 
 def fractions(problem: str):
-    """Rows of problem p for every held fraction, on the default corridor and on graded meshes."""
-    for held in retraction.FRACTIONS:
-        meshes = {
-            "uniform, 8k": retraction.uniform(8_800),
-            "corridor": retraction.corridor(),
-            "graded, 8k": retraction.graded(8_000, held),
-            "graded, 22k": retraction.graded(22_000, held),
-        }
-        for name, mesh in meshes.items():
-            enrichment = "geometric" if name.startswith("graded") else "topological"
+    """Rows of problem p for every held fraction, on the meshes of a run, on a uniform and on a fine graded one."""
+    for held in FRACTIONS:
+        ends = retraction.corridor_graded(held)
+        for name, mesh, enrichment in (
+            ("uniform, 8k", retraction.uniform(8_800), "topological"),
+            ("corridor", retraction.corridor(), "topological"),
+            ("corridor, data ends", ends, "topological"),
+            ("corridor, data ends", ends, "geometric"),
+            ("graded, 22k", retraction.graded(22_000, held), "geometric"),
+        ):
             outcome = retraction.retracted(mesh, enrichment, held)
             yield from _rows(problem, f"{name} ({enrichment})", held, outcome)
 

@@ -23,7 +23,7 @@ RESULTS = Path("benchmarks/results/lips.json")
 CONDITIONS = ("mortar", "nitsche", "pointwise")
 FRACTIONS = (0.25, 0.5, 0.75)
 #: Number of nodes, and how many of the 25 turns are used there.
-MESHES = ((2_600, 25), (8_800, 10))
+MESHES = ((2_600, 25), (8_800, 5))
 SLIVER = 2e-3
 #: The skull's switch has an error of its own: points as near as this to it are left out, mm.
 SWITCH_MM = 6.0

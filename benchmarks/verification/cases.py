@@ -160,10 +160,7 @@ def arc(n: int, enrichment: str) -> Outcome:
     mesh = distmesh(rectangle(-w, -w, w, w), SizeField(50 * s, 0.08 * s, 1.0, (path,), growth=0.1 * s))
     cut = Cut(path, mouth=False, craniotomy=False)
     space = cut_space(mesh, (cut,), enrichment, 1.0)
-    top, bottom = (rim(space, lambda x, y=y: np.abs(x[:, 1] - y) < 1e-9) for y in (w, -w))
-    load = traction_load(space, top, (0, 1)) + traction_load(space, bottom, (0, -1))
-    held = supports(space, [(w, -w), (w, -w), (w, w)], [0, 1, 0])
-    problem = plate_problem(space, (cut,), STEEL, [held], load, enrichment)
+    problem = plate_problem(space, (cut,), STEEL, *_pulled(space, w), enrichment)
     solution = solve(problem)
     reference = fields.arc_crack_factors(radius, half_angle, 1.0)
     tip = int(np.argmax(space.subcells.tips[:, 0]))
@@ -171,6 +168,40 @@ def arc(n: int, enrichment: str) -> Outcome:
     return Outcome(
         problem, solution, (relative("K_I", K_I, reference[0]), relative("abs K_II", abs(K_II), reference[1]))
     )
+
+
+def branched(n: int, enrichment: str) -> Outcome:
+    """Problem f2: a crack that forks at 45 degrees into two of its length, in a plate of half-width 40, unit tension
+    normal to the stem; K over sqrt(pi c), c = (a + b cos 45) / 2. The mesh is graded to the crack.
+    """
+    w, arm = 40.0, np.array([np.cos(np.pi / 4), np.sin(np.pi / 4)])
+    paths = [np.array(p) for p in ([[-1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], arm], [[0.0, 0.0], arm * (1, -1)])]
+    s = np.sqrt(7_800 / n)
+    mesh = distmesh(rectangle(-w, -w, w, w), SizeField(20 * s, 0.04 * s, 0.4, tuple(paths), growth=0.11 * s))
+    cuts = tuple(Cut(path, f"cut {k}", mouth=False, craniotomy=False) for k, path in enumerate(paths))
+    space = cut_space(mesh, cuts, enrichment, 0.5)
+    problem = plate_problem(space, cuts, STEEL, *_pulled(space, w), enrichment)
+    solution = solve(problem)
+    unit = np.sqrt(np.pi * (1 + np.cos(np.pi / 4)) / 2)
+    tips = space.subcells.tips
+    stem, branch = (int(np.argmin(np.linalg.norm(tips - x, axis=1))) for x in ((-1.0, 0.0), arm))
+    K = [stress_intensity(space, STEEL, solution.U, tip, 0.6) for tip in (stem, branch)]
+    return Outcome(
+        problem,
+        solution,
+        (
+            relative("K_I of the stem", K[0][0] / unit, 1.0443),
+            relative("K_I of a branch", K[1][0] / unit, 0.4950),
+            relative("K_II of a branch", abs(K[1][1]) / unit, 0.5065),
+        ),
+    )
+
+
+def _pulled(space, w):
+    """Supports and load of a square plate of half-width w under unit tension along y."""
+    top, bottom = (rim(space, lambda x, y=y: np.abs(x[:, 1] - y) < 1e-9) for y in (w, -w))
+    load = traction_load(space, top, (0, 1)) + traction_load(space, bottom, (0, -1))
+    return [supports(space, [(w, -w), (w, -w), (w, w)], [0, 1, 0])], load
 
 
 def _edge_cracked(n, width, length, crack, enrichment):

@@ -17,7 +17,7 @@ def by_radius(n: int = 6_700):
     for label, enrichment, radius in (
         ("Heaviside only", "none", None),
         ("topological", "topological", None),
-        *((f"geometric, radius {r:g}", "geometric", r) for r in (0.05, 0.1, 0.2, 0.4)),
+        *((f"geometric, radius {r:g}", "geometric", r) for r in (0.05, 0.1, 0.2, 0.4, 0.7)),
     ):
         problem = _held_square(mesh, cut, enrichment, radius)
         row = {"case": label, "nodes": len(mesh.points)}

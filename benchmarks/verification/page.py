@@ -19,6 +19,7 @@ TITLES = {
     "c": "c: inclined centre crack, 30 degrees, exact displacement on the outline",
     "d": "d: Williams' field on the outline of a square, fixed radius .5",
     "f1": "f1: arc crack in an infinite plate (mesh graded to the arc)",
+    "f2": "f2: forked crack, plate of half-width 40 (mesh graded to the crack)",
     "p-uniform": "p: retraction disc, half held, uniform mesh",
     "p-graded": "p: retraction disc, half held, graded where data begin and end",
 }
@@ -57,10 +58,10 @@ edges the mesh is structured.
 FRACTIONS = """## p: every held fraction, beside the conforming reference
 
 The skull switches on at a point (ramp 0), 15 mm from the mouth. *Corridor* is the default mesh of a run (3 mm, 1 mm
-within 12 mm of the cut); *graded* has .005 mm at the switches, .02 at the blade's end, .05 at the mouth, .1 at the
-tip, growing by .11 mm per mm (at 8k nodes): the mouth matters because a held lip that meets the free outline is
-singular too. Errors beyond 2 h (local) of the cut, at one random point of every cell and at the nodes; *beyond 6 mm*
-is of the cut and of the switches.
+within 12 mm of the cut), *data ends* the same with `--grade-at-data-ends`; *graded* has the points of that option in
+a mesh without corridor, all sizes in proportion to n^-1/2. The mouth is one of them, because a held lip that meets the
+free outline is singular too. Errors beyond 2 h (local) of the cut, at one random point of every cell and at the nodes;
+*beyond 6 mm* is of the cut and of the switches.
 """
 TURNS = """## Lip conditions under mesh shifts
 
@@ -78,6 +79,17 @@ SLIVERS = """## Slivers
 A cut parallel to a line of edges of a structured mesh, at an offset above it. Below 1e-3 h the cut is snapped onto
 the edges.
 """
+# Why a mark is not met, printed where it is not.
+WIDE = (
+    "the radius is half the plate's half-width or more. Far from the tip sum_i N_i (F - F(x_i)) nearly vanishes, as "
+    "linear elements reproduce linear functions; the ratio does not grow under refinement"
+)
+SWITCH = (
+    "the error sits at the skull's switch, a point singularity between two nodes of the outline; a run's default, the "
+    "ramp, has none"
+)
+NEAR_TIP = "the held lip ends 4 mm before the tip"
+
 
 def write_page(results: dict):
     """Write docs/accuracy.md and the figure."""
@@ -179,13 +191,14 @@ def _marks(results):
     """What was to be reached, what is reached."""
     rows = []
 
-    def mark(text, limit, measured, at_least=False):
+    def mark(text, limit, measured, at_least=False, reason=""):
         measured = [x for x in measured if x is not None]
         if measured:
             worst = min(measured) if at_least else max(measured)
             met = worst >= limit if at_least else worst <= limit
             sign = "≥" if at_least else "≤"
-            rows.append((text, f"{sign} {number(limit)}", number(worst), "met" if met else "**not met**"))
+            verdict = "met" if met else f"**not met**: {reason}" if reason else "**not met**"
+            rows.append((text, f"{sign} {number(limit)}", number(worst), verdict))
 
     def error(*where):
         return _error(results, *where)
@@ -215,13 +228,14 @@ def _marks(results):
         )
     condition = results.get("conditioning", [])
     for key, text, limit in (("condition, block", "condition number", 1.2), ("steps, block", "CG steps", 1.15)):
-        mark(f"{text} over Heaviside only, any radius", limit, [r[key] / condition[0][key] for r in condition[1:]])
+        found = [r[key] / condition[0][key] for r in condition[1:]]
+        mark(f"{text} over Heaviside only, internal cut, any radius", limit, found, reason=WIDE)
     for key, text, limit in (("condition", "condition number", 1.2), ("iterations", "CG steps", 1.15)):
         for problem in TITLES:
             pairs = [_select(results.get(problem, []), enrichment=e, n=8_000)[:1] for e in ("geometric", "none")]
             if all(pairs):
                 ratio = pairs[0][0][key] / pairs[1][0][key]
-                mark(f"{text} over Heaviside only, problem {problem}, geometric, 8k", limit, [ratio])
+                mark(f"{text} over Heaviside only, problem {problem}, geometric, 8k", limit, [ratio], reason=WIDE)
     slivers = results.get("slivers", [])
     plain = {r["offset"]: r for r in _select(slivers, case="none")}
     for key, text, limit in (("condition", "condition number", 1.2), ("steps", "CG steps", 1.15)):
@@ -230,22 +244,24 @@ def _marks(results):
             limit,
             [r[key] / plain[0.37][key] for r in slivers],
         )
-    for quantity in ("K_I", "abs K_II"):
-        mark(f"f1: {quantity}, geometric, 8k", 5e-3, [error("f1", "geometric", 8_000, quantity)])
+    for problem in ("f1", "f2"):
+        found = _select(results.get(problem, []), enrichment="geometric", n=8_000)
+        mark(f"{problem}: every K, geometric, 8k", 5e-3, [r["error"] for r in found])
     fractions = results.get("fractions", [])
     for mesh, quantity, limit in (
-        ("graded, 8k (geometric)", "max beyond 2 h, mm", 0.02),
-        ("graded, 8k (geometric)", "rms beyond 2 h, mm", 0.004),
-        ("graded, 8k (geometric)", "lip error rms, mm", 0.005),
+        ("corridor, data ends (geometric)", "max beyond 2 h, mm", 0.02),
+        ("corridor, data ends (geometric)", "rms beyond 2 h, mm", 0.004),
+        ("corridor, data ends (geometric)", "lip error rms, mm", 0.005),
         ("graded, 22k (geometric)", "max beyond 2 h, mm", 0.01),
         ("uniform, 8k (topological)", "max beyond 2 h, mm", 0.17),
         ("uniform, 8k (topological)", "the same at nodes, mm", 0.17),
         ("corridor (topological)", "max beyond 6 mm, mm", 0.15),
-        ("graded, 8k (geometric)", "max beyond 6 mm, mm", 0.03),
+        ("corridor, data ends (topological)", "max beyond 6 mm of the cut alone, mm", 0.03),
     ):
         for label, rows_of in (("half held", [r for r in fractions if r["n"] == 0.5]), ("any fraction", fractions)):
             found = _select(rows_of, enrichment=mesh, quantity=quantity)
-            mark(f"p, {mesh}: {quantity}, {label}", limit, [r["error"] for r in found])
+            reason = SWITCH if "uniform" in mesh else NEAR_TIP if label == "any fraction" else ""
+            mark(f"p, {mesh}: {quantity}, {label}", limit, [r["error"] for r in found], reason=reason)
     pair = [error("p-uniform", "topological", n, "max beyond 2 h, mm") for n in (8_000, 32_000)]
     if all(pair):
         mark("p, uniform: fall of the largest error from 8k to 32k", 2.0, [pair[0] / pair[1]], at_least=True)
