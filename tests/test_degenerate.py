@@ -77,7 +77,7 @@ def compare(name, k):
     generic = []
     for angle in (0.4, 2.5, 4.6):
         moved = path + 0.1 * np.array([np.cos(angle), np.sin(angle)])
-        moved[0, 0] = -0.5
+        moved[0] -= (moved[1] - moved[0]) / np.linalg.norm(moved[1] - moved[0])  # from outside, the same way
         generic.append(pulled(mesh, place(mesh, [(moved, False)])))
     return pulled(mesh, place(mesh, [(path, False)])) / np.median(generic)
 
