@@ -37,6 +37,11 @@ def test_unknown_words_are_refused():
             pose(MESH, (CUT,), BRAIN, FREE, **{word: "magic"})
 
 
+def test_tissue_that_locks_is_named():
+    with pytest.warns(XfemnavWarning, match="W405"):
+        pose(MESH, (CUT,), Material(poisson=0.48), HARD_SKULL)
+
+
 def test_a_free_organ_that_nothing_holds_is_refused():
     refused("E406", MESH, (CUT,), BRAIN, FREE)
     refused("E406", MESH, (), BRAIN, FREE)

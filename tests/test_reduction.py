@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from meshes import BRAIN, cut_in, jittered
 from scipy.sparse import csc_array, eye_array
 
 from data_synthetic.fields import Williams
+from tests.meshes import BRAIN, cut_in, jittered
 from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.branch import branch_functions
 from xfemnav.mechanics.elasticity import stiffness

@@ -61,4 +61,5 @@ def _verdict(rows, names):
     if len(good) == len(rows):
         return f"Up to nu = {good[-1]:g} no error exceeds {100 * LIMIT:g} %."
     over = rows[len(good)]["poisson"]
-    return f"Errors stay under {100 * LIMIT:g} % up to nu = {good[-1]:g}; at {over:g} one exceeds it."
+    return (f"Errors stay under {100 * LIMIT:g} % up to nu = {good[-1]:g}; at {over:g} one exceeds it. "
+            "A run above that warns (W405).")

@@ -19,6 +19,8 @@ from xfemnav.mechanics.space import Space
 
 LIP_CONSTRAINTS = ("mortar", "nitsche", "pointwise")
 TIP_ENRICHMENTS = ("topological", "geometric", "none")
+#: Above this ratio linear triangles lock: at 0.48 the energy of a uniform mesh is 5.1 % off (docs/sensitivity.md).
+LOCKING_POISSON = 0.47
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +100,12 @@ def pose(
         raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
     if tip_enrichment not in TIP_ENRICHMENTS:
         raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
+    if material.poisson > LOCKING_POISSON:
+        warn(
+            "W405",
+            f"Poisson's ratio {material.poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy or "
+            "displacement may be over 5 % off; use 0.45 to 0.47, or smaller elements.",
+        )
     subcells = embed(mesh, cuts)
     space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
     _refuse_cuts_without_lips(space, cuts)
