@@ -103,8 +103,8 @@ def pose(
     if material.poisson > LOCKING_POISSON:
         warn(
             "W405",
-            f"Poisson's ratio {material.poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy or "
-            "displacement may be over 5 % off; use 0.45 to 0.47, or smaller elements.",
+            f"Poisson's ratio {material.poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
+            "or displacement may be over 5 % off; use 0.45 to 0.47, or smaller elements.",
         )
     subcells = embed(mesh, cuts)
     space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
