@@ -105,6 +105,7 @@ def test_edited_helper_in_mechanics_spares_the_mesh(run, tmp_path, capfd, monkey
     def states():
         return [line.split()[1] for line in xfemnav(capfd, *base)[1].splitlines()]
 
+    run()
     assert states() == ["cached"] * 5
     for edited, expected in (("mechanics/branch.py", ["cached", "cached", "would", "would", "would"]),
                              ("geometry/mesh.py", ["would"] * 5)):
