@@ -287,7 +287,7 @@ def test_output_never_takes_the_place_of_an_input(tmp_path, capfd):
     mask = tmp_path / "out" / first["outputs"]["mask"]
     before = mask.read_bytes()
     code, failed = run(tmp_path, capfd, tmp_path / "head.nii.gz", "--mask", mask)
-    assert code == 73 and failed["error"]["code"] == "E504" and mask.read_bytes() == before
+    assert code == 73 and failed["error"]["code"] == "E731" and mask.read_bytes() == before
 
 
 def test_output_of_the_last_run_may_be_an_input_but_not_in_its_own_folder(tmp_path, capfd):
@@ -295,6 +295,6 @@ def test_output_of_the_last_run_may_be_an_input_but_not_in_its_own_folder(tmp_pa
     first = run(tmp_path, capfd, write(tmp_path / "head.nii.gz"))[1]
     updated = tmp_path / "out" / first["outputs"]["updated"]
     code, failed = run(tmp_path, capfd, updated)
-    assert code == 73 and failed["error"]["code"] == "E504" and updated.is_file()
+    assert code == 73 and failed["error"]["code"] == "E731" and updated.is_file()
     moved = updated.rename(tmp_path / updated.name)
     assert run(tmp_path, capfd, moved, "--stop-after", "segment")[0] == 0 and moved.is_file()

@@ -112,9 +112,9 @@ FAULTS: dict[str, Fault] = {
     "E502": Fault(73, "cannot write there", "The folder is read-only or belongs to somebody else.",
                   "Give another folder with `-o` or `-w`."),
     "E503": Fault(75, "another run holds this output folder", "Two runs write to one folder.", "Wait for it, or give another `-o`."),
-    "E504": Fault(73, "output would overwrite an input", "The output folder holds a file that the run reads.", "Give another `-o`."),
     # 7xx: other files and settings
     "E701": Fault(65, "file cannot be read", "A file beside the image is not in its format.", "Write it again."),
+    "E731": Fault(73, "output would overwrite an input", "The output folder holds a file that the run reads.", "Give another `-o`."),
     "E780": Fault(78, "scenario or option is not valid", "A value has the wrong type, name or range.",
                   "The message lists every problem with its place."),
     "E781": Fault(78, "scenario names a file outside its folder", "Paths in a scenario stay in its folder.",

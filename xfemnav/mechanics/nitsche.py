@@ -3,8 +3,9 @@
 On the held lip, with m the outward normal and t(u) = s(u) m, the weak form gains
 - integral t(u).v - integral t(v).(u - given) + integral beta (u - given).v.
 beta = gamma M (held length of the part) / (area of the part), uncapped, with M the P-wave modulus and gamma > 1, keeps
-the form positive on every part, slivers included. Parts under a fifth of their cell carry only the penalty 2 M / h:
-there the traction of a sliver says little, and its weight would spoil the conditioning.
+the form positive on every part with constant strains, slivers included. Two kinds of parts carry only the penalty
+2 M / h: those under a fifth of their cell, whose traction says little and whose weight would spoil the conditioning,
+and those with branch functions, whose strains at the lip no such bound limits.
 """
 
 import numpy as np
@@ -47,10 +48,10 @@ def _lip_operators(space, material, retraction, span):
     area = np.bincount(space.subcells.part, space.subcells.areas, space.subcells.n_parts)
     length = np.bincount(q.parts, q.weights, space.subcells.n_parts)
     cell = space.subcells.part_cell[q.parts]
-    small = area[q.parts] < SMALL_PART * space.mesh.areas[cell]
-    beta = np.where(small, 2 / space.mesh.sizes[cell], GAMMA * length[q.parts] / area[q.parts]) * D[0, 0]
-    # Cauchy: t_x = s_xx m_x + s_xy m_y, t_y = s_xy m_x + s_yy m_y; none on small parts.
-    mx, my = (m * ~small[:, None]).T[:, :, None]
+    alone = (area[q.parts] < SMALL_PART * space.mesh.areas[cell]) | np.isin(q.parts, space.branch_parts)
+    beta = np.where(alone, 2 / space.mesh.sizes[cell], GAMMA * length[q.parts] / area[q.parts]) * D[0, 0]
+    # Cauchy: t_x = s_xx m_x + s_xy m_y, t_y = s_xy m_x + s_yy m_y; none where the penalty stands alone.
+    mx, my = (m * ~alone[:, None]).T[:, :, None]
     t = vstack([stress[0].multiply(mx) + stress[2].multiply(my), stress[2].multiply(mx) + stress[1].multiply(my)])
     t = csr_array(t)[np.arange(2 * len(m)).reshape(2, -1).T.ravel()]
     given = retraction.displacement(q.normals)

@@ -99,7 +99,7 @@ def solve(problem: Problem) -> Solution:
     """Minimise 1/2 U'KU - f'U under the problem's conditions.
 
     The conditions are eliminated exactly (U = U0 + T q), the reduced system is symmetric positive definite, factored
-    once and refined once. Raises XfemnavError E407 when the residual stays above 1e-8.
+    once and refined once. Raises XfemnavError E407 when it is not, or when the residual stays above 1e-8.
     """
     elastic = stiffness(problem.space, problem.material)
     K = (elastic + problem.springs).tocsc()
@@ -110,6 +110,12 @@ def solve(problem: Problem) -> Solution:
     A = (T.T @ K @ T).tocsc()
     b = T.T @ (problem.load - K @ U0)
     lu = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    if not (lu.U.diagonal() > 0).all():
+        raise XfemnavError(
+            "E407",
+            "the linear system is not positive definite, so its solution is no minimum of energy; "
+            "this is a bug, please report it with the run's parameters.",
+        )
     q = lu.solve(b)
     q = q + lu.solve(b - A @ q)
     size = np.linalg.norm(b) + np.linalg.norm(T.T @ problem.load)

@@ -123,12 +123,12 @@ class OutputFolder:
                     (self.path / name.replace(".nii.gz", ".json")).unlink(missing_ok=True)
 
     def refuse_overwriting(self, inputs: list[Path]) -> None:
-        """Raise E504 when an input would be replaced by a public file, or removed as one of the earlier run."""
+        """Raise E731 when an input would be replaced by a public file, or removed as one of the earlier run."""
         names = self.earlier | {public_name(self.image, role) for role in (*NAMES, "figure", "report")}
         targets = {(self.path / name).resolve() for name in names}
         for path in inputs:
             if path.resolve() in targets:
-                raise XfemnavError("E504", f"the output would overwrite the input {path}. Give another folder with -o.")
+                raise XfemnavError("E731", f"the output would overwrite the input {path}. Give another folder with -o.")
 
     def _holds(self, name: str, sha256: str) -> bool:
         """Whether the file is there already with this content."""
