@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import lstsq, qr, solve_triangular
 from scipy.sparse import coo_array, csc_array, csr_array, vstack
 from scipy.sparse.csgraph import connected_components
 
@@ -140,6 +140,6 @@ def multipliers(constraints: Constraints, reaction) -> np.ndarray:
     dense = C[rows][:, columns].toarray()
     scale = np.linalg.norm(dense, axis=1)
     forces = np.zeros(C.shape[0])
-    solution, *_ = np.linalg.lstsq((dense / scale[:, None]).T, reaction[columns], rcond=1e-12)
+    solution, *_ = lstsq((dense / scale[:, None]).T, reaction[columns], cond=1e-12, lapack_driver="gelsy")
     forces[rows] = solution / scale
     return forces
