@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 TESTS = ("branch", "quadrature", "subcells", "enrichment", "space", "elasticity", "constraints", "lips", "outline_conditions",
-         "fracture", "reduction", "problem", "solution", "phantom_run")
+         "nitsche", "fracture", "reduction", "problem", "solution", "phantom_run")
 
 # What is wrong, file under xfemnav/, the right text, the wrong text.
 FAULTS = (

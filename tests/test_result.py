@@ -6,6 +6,8 @@ import os
 import nibabel as nib
 import numpy as np
 import pytest
+import SimpleITK as sitk
+from scipy.ndimage import binary_erosion
 from small import CUT, brain, write
 
 import xfemnav
@@ -87,3 +89,20 @@ def test_kernels_have_a_place_where_nothing_can_be_written(monkeypatch):
     assert "NUMBA_CACHE_DIR" in kernels.settle_kernel_cache()
     assert os.path.isdir(os.environ["NUMBA_CACHE_DIR"]) and kernels.settle_kernel_cache() is None
     monkeypatch.delenv("NUMBA_CACHE_DIR")
+
+
+def test_transforms_for_other_programs(opened, tmp_path):
+    """Resampled by SimpleITK, "extended" shows background in the middle of a wide gap, "bridged" stretched lips."""
+    head = opened.folder.parent / "head.nii.gz"
+    with pytest.warns(xfemnav.XfemnavWarning):
+        wide = xfemnav.run(head, cut=CUT, opening_mm=12.0, output=tmp_path, cache=head.parent / "cache", **COARSE)
+    image = sitk.ReadImage(head, sitk.sitkFloat32)
+    cavity = sitk.GetArrayFromImage(sitk.ReadImage(wide._path("cavity")))[0] > 0
+    deep = binary_erosion(cavity, np.ones((3, 3)))
+    shown = {}
+    for gaps in ("bridged", "extended"):
+        wide.write_transform(tmp_path / f"{gaps}.h5", gaps=gaps)
+        transform = sitk.ReadTransform(tmp_path / f"{gaps}.h5")
+        shown[gaps] = sitk.GetArrayFromImage(sitk.Resample(image, image, transform, sitk.sitkLinear, -1.0))[0]
+    assert deep.any() and (shown["extended"][deep] == -1).all()
+    assert (shown["bridged"][deep] > 0).all()

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.images import ORDERS, affine_of, image_of, stored
 from xfemnav.errors import XfemnavError, XfemnavWarning
+from xfemnav.imaging.masks import clean
 from xfemnav.imaging.reading import read_image
-from xfemnav.imaging.slices import PLANES, plane_points, read_mask, take_slice, to_nifti, values_on
+from xfemnav.imaging.slices import PLANES, plane_points, take_slice, to_nifti, values_on
 
 GRADIENT = np.array([3.0, -5.0, 0.7])
 TILT = Rotation.from_euler("xyz", (20, -15, 12), degrees=True).as_matrix()
@@ -245,6 +246,11 @@ def test_other_grids_are_refused():
 
 
 # Masks ----------------------------------------------------------------------------------------------------------------
+
+def read_mask(path, like, *, resample=False):
+    """The organ in a mask file on the pixels of `like`, as a run reads it."""
+    return clean(values_on(read_image(path), like, resample="nearest" if resample else None) != 0, like.spacing)
+
 
 @pytest.mark.filterwarnings("ignore::xfemnav.errors.XfemnavWarning")
 @settings(max_examples=40, deadline=None)

@@ -17,8 +17,7 @@ from scipy import ndimage
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.masks import clean
-from xfemnav.imaging.reading import Image, read_image
+from xfemnav.imaging.reading import Image
 
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal
 SKEW = 1e-3  # cosine between e1 and e2 up to which an affine is rounded, not sheared: .05 mm in 100 mm
@@ -226,13 +225,3 @@ def _same_grid(voxels: np.ndarray, nearest: np.ndarray, image: Image) -> bool:
     along = [int(np.argmax(abs(step - nearest[0, 0]))) for step in (nearest[1, 0], nearest[0, 1])]
     return bool(abs(voxels - nearest).max() < SAME_PIXEL and ((nearest >= 0) & (nearest < shape)).all()
                 and tuple(shape[axis] for axis in along) == voxels.shape[:2])
-
-
-def read_mask(path, like: Slice, *, resample: bool = False, spacing=None, max_memory_gb: float = 4.0) -> np.ndarray:
-    """Mask (n1, n2) bool on the pixels of `like`: non-zero is organ; largest component, holes filled.
-
-    The file is a slice or a volume on the same grid, in any storage order; with `resample`, on any grid (nearest
-    neighbour). Raises E204 when grids differ, E201 and E203 for a mask without outline, and what `read_image` raises.
-    """
-    image = read_image(path, spacing=spacing, max_memory_gb=max_memory_gb)
-    return clean(values_on(image, like, resample="nearest" if resample else None) != 0, like.spacing)

@@ -117,6 +117,20 @@ class Result:
         updated = update(values, *grid[:2], covered(self.motion.rest, *grid), motion, interp, outside, fill).updated
         return to_nifti(self.frame, updated, updated.dtype) if from_file else updated
 
+    def write_transform(self, path, *, gaps: str = "bridged") -> None:
+        """Write the motion as an ITK transform (.h5) from the updated to the preoperative slice.
+
+        `gaps`: "bridged" runs from lip to lip across an opened cut, for viewers; "extended" goes on with the lips for a
+        pixel and then out of the image, so that resampling (ANTs, SimpleITK) loses no tissue and gives background.
+        """
+        from xfemnav.imaging.transform import bridged, extended, write_transform
+        from xfemnav.imaging.warp import covered, pull_back
+
+        grid = self.frame.origin, self.frame.spacing, self.frame.values.shape
+        motion = pull_back(self.motion.rest, self.motion.moved, *grid)
+        empty = covered(self.motion.rest, *grid) & ~motion.tissue
+        write_transform(path, self.frame, {"bridged": bridged, "extended": extended}[gaps](motion, empty))
+
     def _mapped(self, points, move) -> np.ndarray:
         points = np.asarray(points, float)
         rows = np.atleast_2d(points)
