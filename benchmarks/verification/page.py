@@ -68,6 +68,10 @@ TURNS = """## Lip conditions under mesh shifts
 Problem p on a uniform mesh that is turned under the cut (the disc is its own image under whole degrees); a fifth of
 the turns put a node 2e-3 h beside the held lip. Worst error beyond 2 h of the cut and 6 mm of the switches.
 `python -m benchmarks.lips`.
+
+This is why mortar is the default: at every fraction and size its worst error is the smallest, and it halves under
+refinement. Nitsche's condition meets the lip itself best, but acts as a blade about half an element longer would (on
+8,900 nodes, h = 1.3 mm, it agrees two to three times better with a reference held .5 mm further); pointwise rows lock.
 """
 CONDITIONING = """## Conditioning
 
@@ -85,9 +89,10 @@ WIDE = (
     "linear elements reproduce linear functions; the ratio does not grow under refinement"
 )
 SWITCH = (
-    "the error sits at the skull's switch, a point singularity between two nodes of the outline; a run's default, the "
-    "ramp, has none"
+    "the error sits in the elements at the skull's switch, a point singularity between two nodes of the outline, where "
+    "it falls as h^.5 and depends on where the nodes lie; a run's default, the ramp, has none"
 )
+PLACE = "it depends on where the tip lies in its element; in problem d twelve places give .11 to .32 %"
 NEAR_TIP = "the held lip ends 4 mm before the tip"
 
 
@@ -215,7 +220,8 @@ def _marks(results):
         3e-4,
         [r["error"] for r in _select(results.get("angles", []), enrichment="geometric")],
     )
-    mark("K of a and b, topological, 8k", 1.5e-2, [error(p, "topological", 8_000, q) for p, q in plates])
+    found = [error(p, "topological", 8_000, q) for p, q in plates]
+    mark("K of a and b, topological, 8k", 1.5e-2, found, reason=PLACE)
     for quantity, text, limit in (("energy norm", "rate of the energy norm", 0.95), ("K_I", "rate of K_I", 1.9)):
         found = list(_rates(_select(results.get("d", []), enrichment="geometric", quantity=quantity)))
         mark(f"d, fixed radius: {text}", limit, [rate for _, rate in found[1:]], at_least=True)
@@ -228,8 +234,11 @@ def _marks(results):
         )
     condition = results.get("conditioning", [])
     for key, text, limit in (("condition, block", "condition number", 1.2), ("steps, block", "CG steps", 1.15)):
-        found = [r[key] / condition[0][key] for r in condition[1:]]
-        mark(f"{text} over Heaviside only, internal cut, any radius", limit, found, reason=WIDE)
+        ratios = {r["case"]: r[key] / condition[0][key] for r in condition[1:]}
+        wide = ratios.pop("geometric, radius 0.7", None)
+        name = f"{text} over Heaviside only, internal cut"
+        mark(f"{name}, radius to .4 of the half-width", limit, list(ratios.values()))
+        mark(f"{name}, radius .7 of the half-width", limit, [wide], reason=WIDE)
     for key, text, limit in (("condition", "condition number", 1.2), ("iterations", "CG steps", 1.15)):
         for problem in TITLES:
             pairs = [_select(results.get(problem, []), enrichment=e, n=8_000)[:1] for e in ("geometric", "none")]
@@ -264,7 +273,8 @@ def _marks(results):
             mark(f"p, {mesh}: {quantity}, {label}", limit, [r["error"] for r in found], reason=reason)
     pair = [error("p-uniform", "topological", n, "max beyond 2 h, mm") for n in (8_000, 32_000)]
     if all(pair):
-        mark("p, uniform: fall of the largest error from 8k to 32k", 2.0, [pair[0] / pair[1]], at_least=True)
+        text = "p, uniform: fall of the largest error from 8k to 32k"
+        mark(text, 2.0, [pair[0] / pair[1]], at_least=True, reason=SWITCH)
     return "## The marks\n\n" + table(("mark", "limit", "measured (worst)", ""), rows)
 
 
