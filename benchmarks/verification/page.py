@@ -69,9 +69,9 @@ Problem p on a uniform mesh that is turned under the cut (the disc is its own im
 the turns put a node 2e-3 h beside the held lip. Worst error beyond 2 h of the cut and 6 mm of the switches.
 `python -m benchmarks.lips`.
 
-This is why mortar is the default: at every fraction and size its worst error is the smallest, and it halves under
+This is why mortar is the default: at every fraction and size its worst error is the smallest, and it about halves under
 refinement. Nitsche's condition meets the lip itself best, but acts as a blade about half an element longer would (on
-8,900 nodes, h = 1.3 mm, it agrees two to three times better with a reference held .5 mm further); pointwise rows lock.
+8,900 nodes, h = 1.3 mm, it agrees 1.3 to 2.9 times better with a reference held .5 mm further); pointwise rows lock.
 """
 CONDITIONING = """## Conditioning
 
