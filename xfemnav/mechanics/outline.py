@@ -68,7 +68,7 @@ def skull_conditions(
         known, values = _measured(space, rim, np.asarray(measured, float))
         parts.append(_vector_conditions(space, rim, known, values[known]))
     if skull.kind != "free":
-        held = ~known & (_distance(rim.points, mouths) >= skull.craniotomy_mm + skull.ramp_mm)
+        held = ~known & (_distance(rim.points, mouths) >= _rigid_from(skull, rim.lengths))
         make = _vector_conditions if skull.kind == "fixed" else _sliding_conditions
         parts.append(make(space, rim, held, np.zeros((held.sum(), 2))))
     springs = csr_array((n_dof, n_dof))
@@ -132,18 +132,27 @@ def _sliding_conditions(space, rim, held, _):
     return normal_rows(B[first], normals, np.zeros(len(first)), SKULL)
 
 
+def _rigid_from(skull, lengths):
+    """Distance (k,) mm from a mouth at which nodes between facets of the given lengths (k,) mm are held rigidly.
+
+    A rigid node acts like a switch .4 h before it. So behind a hard switch nodes nearer than .5 h are left to the
+    penalty; at the end of a ramp the springs are stiff already.
+    """
+    return skull.craniotomy_mm + skull.ramp_mm + (0.5 * lengths if skull.ramp_mm == 0 else np.zeros(len(lengths)))
+
+
 def _springs(space, skull, mouths, material):
     """Integral of k u.u (fixed) or k (n.u)^2 (sliding): the ramp, and the held part of facets that begin free.
 
-    On the ramp k = (E / 2 mm) x / (1 - x). Conditions hold nodes, so a facet that straddles the place where the grip
-    is complete would be held from its next node on: its part beyond gets the penalty 1.5 M / h, M the P-wave modulus.
+    On the ramp k = (E / 2 mm) x / (1 - x). Conditions hold nodes, so the grip would begin with the next rigid node:
+    where it should be complete but a facet's end is not rigid, it gets the penalty 1.5 M / h, M the P-wave modulus.
     """
     sub = space.subcells
     a, b = sub.rim_ends.swapaxes(0, 1)
     length = np.linalg.norm(b - a, axis=1)
     full = skull.craniotomy_mm + skull.ramp_mm
     ends = np.stack([_distance(a, mouths), _distance(b, mouths)])
-    near = np.flatnonzero((ends.min(axis=0) < full) & (ends.max(axis=0) > skull.craniotomy_mm))
+    near = np.flatnonzero((ends.min(axis=0) < _rigid_from(skull, length)) & (ends.max(axis=0) > skull.craniotomy_mm))
     t, w = _composite_gauss(8, 4)
     points = (a[near, None] + t[None, :, None] * (b - a)[near, None]).reshape(-1, 2)
     weights = np.outer(length[near], w).ravel()
