@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 from tests import cuts
 from tests.meshes import cut_in, disc, grid, jittered, space_of
 from xfemnav.geometry.cut import Cut
-from xfemnav.mechanics.enrichment import BRANCH
+from xfemnav.geometry.subcells import embed
+from xfemnav.mechanics.enrichment import BRANCH, enrich
 from xfemnav.mechanics.space import Space
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
@@ -206,3 +207,26 @@ def test_a_point_outside_is_refused():
     space = place("generic", 1)
     with pytest.raises(ValueError, match="outside the mesh"):
         space.basis_at(np.array([[1.0, 1.0], [-0.5, 5.0]]))
+
+
+CUTS_INSIDE = {
+    "from the outline": ((-1.0, 7.3), (9.1, 8.2)),
+    "inside, long": ((4.2, 7.3), (14.9, 8.4)),
+    "inside, two elements": ((9.1, 7.3), (11.0, 7.9)),
+    "inside, half an element": ((9.1, 7.3), (9.5, 7.5)),
+    "kinked near its tip": ((-1.0, 7.3), (9.1, 8.2), (9.9, 6.4)),
+}
+
+
+@pytest.mark.parametrize("tip_enrichment", ["topological", "geometric", "none"])
+@pytest.mark.parametrize("name", CUTS_INSIDE)
+def test_no_function_jumps_but_on_the_cut(name, tip_enrichment):
+    """At the middle of every contact both parts give one value: also beyond a cut's other end, where the line of a
+    tip's jump has no cut to lie on."""
+    mesh = jittered()
+    cut = cut_in(mesh, *CUTS_INSIDE[name], internal="inside" in name)
+    subcells = embed(mesh, (cut,))
+    space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, 4.0))
+    p, q = subcells.joins[:, :2].T
+    jump = space.basis_in(subcells.join_middle, p) - space.basis_in(subcells.join_middle, q)
+    assert abs(jump).max() < 1e-9

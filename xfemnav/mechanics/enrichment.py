@@ -137,11 +137,11 @@ def enrich(
 
 
 def default_radius(mesh: Mesh, subcells: Subcells, tip: int) -> float:
-    """Radius mm of geometric enrichment: a fifth of the cut, but no less than two elements."""
+    """Radius mm of geometric enrichment: a fifth of the cut, but no less than four elements, for short cuts."""
     path = subcells.paths[subcells.tip_cut[tip]]
     length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
     h = mesh.sizes[subcells.part_cell[touched_parts(subcells, tip)]].mean()
-    return float(max(length / 5, 2 * h))
+    return float(max(length / 5, 4 * h))
 
 
 def _pieces(mesh, subcells):
@@ -209,7 +209,7 @@ def _at_tip(mesh, subcells, dof, near, middle, tip):
 
 def _within_radius(mesh, subcells, dof, near, middle, tip, radius):
     """The same for every node within `radius` mm of the tip and, under the ramp, the other nodes of their cells."""
-    inner = np.linalg.norm(mesh.points - subcells.tips[tip], axis=1) < radius
+    inner = np.linalg.norm(mesh.points - subcells.tips[tip], axis=1) < min(radius, _behind(mesh, subcells, tip))
     inner[_nodes_about(mesh, subcells.part_cell[touched_parts(subcells, tip)], subcells.tips[tip])] = True
     inner[[i for i in np.flatnonzero(inner) if _holds_other_end(mesh, subcells, tip, i)]] = False
     cells = mesh.cells[subcells.part_cell]
@@ -223,6 +223,19 @@ def _within_radius(mesh, subcells, dof, near, middle, tip, radius):
         standard = own_parts[dof[own_parts, own_local] == i]
         shift = _shift(mesh, subcells, middle, angle, tip, i, standard if len(standard) else own_parts)
         yield int(i), shift, own_parts, own_local, angle[own_parts], inner[cells[own_parts]].astype(float)
+
+
+def _behind(mesh, subcells, tip):
+    """Distance mm that keeps the enriched cells before the cut's other end; no limit when that is a mouth.
+
+    Beyond the other end the angle about this tip has no cut to jump on.
+    """
+    other = subcells.paths[subcells.tip_cut[tip]][-1 - subcells.tip_end[tip]]
+    rim = subcells.rim_ends.reshape(-1, 2)
+    h = mesh.sizes[subcells.part_cell[touched_parts(subcells, tip)]].max()
+    if np.linalg.norm(rim - other, axis=1).min() < REACH * h:
+        return np.inf
+    return np.linalg.norm(other - subcells.tips[tip]) - 1.5 * h
 
 
 def _reached(parts, local, angle):
