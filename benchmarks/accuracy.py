@@ -2,7 +2,8 @@
 
     python -m benchmarks.accuracy [problem ...] [--page]
 
-Problems: a a3 b c d e f1 f2 p-uniform p-graded angles fractions conditioning slivers; all without a name (about half
+Problems: a a3 b c d e f1 f2 p-uniform p-graded angles fractions conditioning slivers
+placements short; all without a name (about half
 an hour on one core). Results are kept in benchmarks/results/accuracy.json, one entry a case; the page is written from
 all of them, with --page alone from what is there. The conforming references of p are computed once, into
 out/reference.
@@ -20,6 +21,8 @@ from benchmarks.reference.cases import FRACTIONS
 from benchmarks.verification import cases, conditioning, retraction
 from benchmarks.verification.outcome import Value, cg_iterations, condition_number, reduced_system
 from benchmarks.verification.page import write_page
+from benchmarks.verification.placements import placements
+from benchmarks.verification.short_cuts import short_cuts
 
 SIZES = (2_000, 8_000, 32_000)
 ENRICHMENTS = ("topological", "geometric", "none")
@@ -78,9 +81,10 @@ def fractions(problem: str):
 
 
 def table(problem: str):
-    """Rows of the conditioning tables."""
-    rows = conditioning.by_radius() if problem == "conditioning" else conditioning.slivers()
-    for row in rows:
+    """Rows of the tables of conditioning, of places of the tip, of short cuts."""
+    rows = {"conditioning": conditioning.by_radius, "slivers": conditioning.slivers, "placements": placements,
+            "short": short_cuts}[problem]
+    for row in rows():
         yield {"problem": problem, **row}
 
 
@@ -91,6 +95,8 @@ RUNS = {
     "fractions": fractions,
     "conditioning": table,
     "slivers": table,
+    "placements": table,
+    "short": table,
 }
 
 

@@ -219,3 +219,13 @@ def test_a_cut_beside_a_row_of_nodes_severs_what_it_should(offset):
     assert n == 2
     area = np.bincount(body[sub.part], sub.areas)
     assert_allclose(np.sort(area), [40 + 10 * offset, 60 - 10 * offset], atol=2 * SNAP * 10)
+
+
+def test_a_tip_goes_on_as_it_was_drawn():
+    """A node beside the line, just before the tip, bends the snapped cut but not the tip's axis."""
+    mesh = grid()
+    node = np.array([4.0, 4.0])
+    tip = node + np.array([1.3e-3, 0.6e-3])
+    subcells = embed(mesh, (cut_in(mesh, (-1.0, tip[1]), tip),))
+    assert (subcells.paths[0][-2] == node).all()
+    np.testing.assert_allclose(subcells.tip_travel, [[1.0, 0.0]], atol=1e-12)

@@ -102,10 +102,16 @@ def embed(mesh: Mesh, cuts: tuple[Cut, ...]) -> Subcells:
     segments = Segments(paths)
     ends = [] if not paths else find_tips(mesh, node_h, paths, loops)
     polygons = split_cells(mesh, segments, [path[end] for _, path, end in ends])
-    return _assemble(mesh, paths, segments, ends, polygons)
+    return _assemble(mesh, paths, segments, ends, polygons, [_travel(cuts[k].path, end) for k, _, end in ends])
 
 
-def _assemble(mesh, paths, segments, ends, polygons):
+def _travel(drawn, end):
+    """Unit direction in which a cut as drawn (k, 2) would go on: where it was snapped, its last stretch may be tiny."""
+    d = drawn[0] - drawn[1] if end == 0 else drawn[-1] - drawn[-2]
+    return d / np.linalg.norm(d)
+
+
+def _assemble(mesh, paths, segments, ends, polygons, travel):
     n_cells = len(mesh.cells)
     part_cell = list(range(n_cells))
     part_of = {}
@@ -131,7 +137,6 @@ def _assemble(mesh, paths, segments, ends, polygons):
     joins, join_middle = _joins(mesh, polygons, part_of)
     lips = _lips(mesh, segments, polygons, part_of)
     rim_part, rim_ends = _rim(mesh, polygons, part_of)
-    travel = [(path[0] - path[1]) if end == 0 else (path[-1] - path[-2]) for _, path, end in ends]
     return Subcells(
         corners=np.concatenate(corners),
         part=np.concatenate(part),
@@ -148,7 +153,7 @@ def _assemble(mesh, paths, segments, ends, polygons):
         tip_cut=[k for k, _, _ in ends],
         tip_end=[end for _, _, end in ends],
         tips=np.array(tip_points).reshape(-1, 2),
-        tip_travel=np.array([d / np.linalg.norm(d) for d in travel]).reshape(-1, 2),
+        tip_travel=np.array(travel).reshape(-1, 2),
         tip_touch=np.array(touch, dtype=int).reshape(-1, 2),
         paths=tuple(paths),
     )
