@@ -181,13 +181,16 @@ def test_canonical_json_has_one_text_for_equal_values():
 
 def test_edited_code_changes_the_keys_of_the_layers_above_it(tmp_path):
     """Row 48: a helper in mechanics concerns mechanics and what builds on it, not imaging."""
-    for source in PACKAGE.rglob("*.py"):
+    for source in (path for path in PACKAGE.rglob("*") if path.suffix in (".py", ".html", ".json")):
         target = tmp_path / source.relative_to(PACKAGE)
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(source.read_bytes())
     layers = ("geometry", "imaging", "mechanics", "pipeline")
     before = {layer: code_digest((layer,), tmp_path) for layer in layers}
-    (tmp_path / "mechanics" / "__init__.py").write_text("# edited\n")
-    code_digest.cache_clear()
-    after = {layer: code_digest((layer,), tmp_path) for layer in layers}
-    assert [layer for layer in layers if before[layer] != after[layer]] == ["mechanics", "pipeline"]
+    for edited, expected in (("mechanics/__init__.py", ["mechanics", "pipeline"]), ("pipeline/report.html", ["pipeline"]),
+                             ("pipeline/run.schema.json", ["pipeline"])):
+        (tmp_path / edited).write_text("# edited\n")
+        code_digest.cache_clear()
+        after = {layer: code_digest((layer,), tmp_path) for layer in layers}
+        assert [layer for layer in layers if before[layer] != after[layer]] == expected
+        before = after

@@ -2,6 +2,8 @@
 
 import doctest
 import os
+import subprocess
+import sys
 
 import nibabel as nib
 import numpy as np
@@ -11,7 +13,7 @@ from scipy.ndimage import binary_erosion
 from small import CUT, brain, write
 
 import xfemnav
-from xfemnav.pipeline import kernels, result
+from xfemnav.pipeline import kernels, keys, result
 
 COARSE = {"element_size_mm": 8.0, "corridor_element_mm": 4.0, "report": False}
 
@@ -85,10 +87,32 @@ def test_wrong_arguments_are_told(tmp_path):
 
 def test_kernels_have_a_place_where_nothing_can_be_written(monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     assert "NUMBA_CACHE_DIR" in kernels.settle_kernel_cache()
-    assert os.path.isdir(os.environ["NUMBA_CACHE_DIR"]) and kernels.settle_kernel_cache() is None
-    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    assert os.environ["NUMBA_CACHE_DIR"] and kernels.settle_kernel_cache() is None
+
+
+def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
+    """Numba sees no edit of a helper in another file than its caller's, so every code has a folder of its own."""
+    toy = tmp_path / "xfemnav"
+    for name in ("__init__", "errors", *(f"pipeline/{part}" for part in ("__init__", "kernels", "keys", "layers"))):
+        (toy / name).parent.mkdir(parents=True, exist_ok=True)
+        (toy / f"{name}.py").write_bytes((keys.PACKAGE / f"{name}.py").read_bytes())
+    (toy / "geometry").mkdir()
+    kernel = "from numba import njit\n{}\n@njit(cache=True)\ndef {}():\n    return {}\n"
+    (toy / "geometry" / "caller.py").write_text(
+        kernel.format("from xfemnav.geometry.helper import helper", "caller", "helper()"))
+    command = ("from xfemnav.pipeline.kernels import settle_kernel_cache; settle_kernel_cache()\n"
+               "from xfemnav.geometry.caller import caller; print(caller())")
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    for value in (1, 2):
+        (toy / "geometry" / "helper.py").write_text(kernel.format("", "helper", value))
+        got = subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert got.stdout.strip() == str(value)
+    folders = list((toy / "geometry" / "__pycache__").glob(f"{kernels.NAME}*"))
+    assert len(folders) == 2 and all(list(folder.rglob("*caller*.nbc")) for folder in folders)
+    assert {path.parent.name for path in keys.PACKAGE.rglob("*.py") if "import njit" in path.read_text()} == set(
+        kernels.LAYERS)
 
 
 def test_transforms_for_other_programs(opened, tmp_path):

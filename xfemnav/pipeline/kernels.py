@@ -1,27 +1,50 @@
-"""Where numba keeps compiled kernels. It must be settled before numba is imported."""
+"""Where numba keeps compiled kernels. It must be settled before numba compiles any of ours.
+
+Numba compiles a kernel anew when its own file changes, but not when a helper in another file does. So kernels are kept
+in a folder named by the digest of all code that they are made of: other code finds none of them.
+"""
 
 import atexit
 import os
 import shutil
+import sys
 import tempfile
+import time
 from pathlib import Path
 
-from xfemnav.pipeline.keys import PACKAGE
+from xfemnav.pipeline.keys import PACKAGE, source_digest
+
+LAYERS = ("geometry", "imaging")  # where kernels stand
+NAME = "xfemnav-kernels-"
+FORGET_S = 30 * 86400  # kernels of other code are removed when nothing has been added to them for so long
+
+PASSING = ("no folder for compiled kernels can be written, so they are compiled anew in every run; set NUMBA_CACHE_DIR "
+           "to a folder that can.")
 
 
 def settle_kernel_cache() -> str | None:
-    """Make sure that numba has a folder to write to; what to tell the user (W602) when it is a passing one.
+    """Give numba a folder for the kernels of this code; what to tell the user (W602) when it is a passing one.
 
-    Numba keeps kernels beside the source, else below the home folder, and refuses to work where it can do neither.
-    NUMBA_CACHE_DIR wins over both.
+    It lies in NUMBA_CACHE_DIR, else beside the source, else below the home folder, else it is a temporary one. Modules
+    of kernels that were imported before keep their kernels where numba would put them.
     """
-    if os.environ.get("NUMBA_CACHE_DIR") or _writable(PACKAGE / "geometry") or _writable(Path.home() / ".cache"):
+    name = NAME + source_digest(*(path for layer in LAYERS for path in (PACKAGE / layer).rglob("*.py")))[:16]
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given and Path(given).name == name:
         return None
-    folder = tempfile.mkdtemp(prefix="xfemnav-kernels-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = folder
-    return ("neither the installed package nor the home folder can be written, so kernels are compiled anew in every "
-            "run; set NUMBA_CACHE_DIR to a folder that can.")
+    places = [Path(given)] if given else [PACKAGE / "geometry" / "__pycache__", Path.home() / ".cache" / "xfemnav"]
+    base = next(filter(_writable, places), None)
+    passing = base is None
+    if passing:
+        base = Path(tempfile.mkdtemp(prefix="xfemnav-"))
+        atexit.register(shutil.rmtree, base, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = str(base / name)
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.reload_config()
+    for other in base.glob(f"{NAME}*"):
+        if other.name != name and time.time() - other.stat().st_mtime > FORGET_S:
+            shutil.rmtree(other, ignore_errors=True)
+    return PASSING if passing else None
 
 
 def _writable(folder: Path) -> bool:

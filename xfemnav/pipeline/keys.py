@@ -14,6 +14,7 @@ from pathlib import Path
 from xfemnav.pipeline.layers import reach
 
 PACKAGE = Path(__file__).parents[1]
+DATA = (".html", ".json")  # files of the package that its code renders or reads
 # Every stage runs through these, whatever its layer.
 COMMON_CODE = ("errors.py", "pipeline/stages.py", "pipeline/store.py", "pipeline/files.py")
 
@@ -47,10 +48,15 @@ def file_digest(path: Path) -> str:
 
 @cache
 def code_digest(layers: tuple[str, ...], root: Path = PACKAGE) -> str:
-    """sha256 over the source of every module that `layers` can reach (table `LAYERS`), and of `COMMON_CODE`."""
-    sources = [root / name for name in COMMON_CODE]
-    for below in sorted(set().union(*map(reach, layers))):
-        sources.extend((root / below).rglob("*.py"))
+    """sha256 over every module and data file that `layers` can reach (table `LAYERS`), and of `COMMON_CODE`."""
+    sources = {root / name for name in COMMON_CODE}
+    for below in set().union(*map(reach, layers)):
+        sources.update(path for path in (root / below).rglob("*") if path.suffix in (".py", *DATA))
+    return source_digest(*sources, root=root)
+
+
+def source_digest(*sources: Path, root: Path = PACKAGE) -> str:
+    """sha256 over names and content of source files below `root`."""
     return digest({source.relative_to(root).as_posix(): file_digest(source) for source in sources})
 
 

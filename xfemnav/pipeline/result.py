@@ -8,6 +8,7 @@ import numpy as np
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.pipeline import job
 from xfemnav.pipeline.config import STAGES, configure
+from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.runfile import read_record
 
 SIDES = {"left": 1, "right": -1}
@@ -61,6 +62,7 @@ class Result:
         if "solution" not in record["outputs"]:
             raise XfemnavError("E701", f"the run in {folder} ({record['status']}) has no solution. Run it again.")
         self.folder, self.record = Path(folder), record
+        settle_kernel_cache()  # before `motion` imports kernels
 
     @classmethod
     def load(cls, folder) -> "Result":
