@@ -33,7 +33,8 @@ INPUT = (
     click.option("--volume", type=int, metavar="N", help="Which volume of a 4-D image."),
     click.option("--nan", type=float, metavar="VALUE", help="Value for NaN and infinite voxels."),
     click.option("--spacing", metavar="DX,DY[,DZ]", help="Pixel sizes, mm, in place of the header's frame."),
-    click.option("--space", type=_choice("ras", "lps", "voxel"), help="How points are read.  [ras]"),
+    click.option("--space", type=_choice("ras", "lps", "voxel"),
+                 help="How points are read; vectors of lips are plane RAS in each.  [ras]"),
     click.option("--max-memory", type=float, metavar="GB", help="Largest image to read.  [4]"),
 )
 MESH = (
@@ -60,7 +61,7 @@ MECHANICS = (
     click.option("--craniotomy-mm", type=float, metavar="R", help="Outline freed about a cut's mouth.  [20]"),
     click.option("--skull-ramp-mm", type=float, metavar="R", help="Length over which the skull's grip sets in.  [4]"),
     click.option("--boundary-displacement", type=FILE, metavar="FILE.csv",
-                 help="Measured motion of the outline: x,y,ux,uy[,side]."),
+                 help="Measured motion of the outline: x,y,ux,uy[,side], plane mm read by --space ras or lps."),
     click.option("--tip-enrichment", type=_choice("topological", "geometric", "none"),
                  help="Functions at tips.  [topological]"),
     click.option("--lip-constraint", type=_choice("mortar", "nitsche", "pointwise"),

@@ -187,8 +187,8 @@ def test_edited_code_changes_the_keys_of_the_layers_above_it(tmp_path):
         target.write_bytes(source.read_bytes())
     layers = ("geometry", "imaging", "mechanics", "pipeline")
     before = {layer: code_digest((layer,), tmp_path) for layer in layers}
-    for edited, expected in (("mechanics/__init__.py", ["mechanics", "pipeline"]), ("pipeline/report.html", ["pipeline"]),
-                             ("pipeline/run.schema.json", ["pipeline"])):
+    for edited, expected in (("mechanics/__init__.py", ["mechanics", "pipeline"]),
+                             ("pipeline/report.html", ["pipeline"]), ("pipeline/run.schema.json", ["pipeline"])):
         (tmp_path / edited).write_text("# edited\n")
         code_digest.cache_clear()
         after = {layer: code_digest((layer,), tmp_path) for layer in layers}

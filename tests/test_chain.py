@@ -261,6 +261,38 @@ def test_warnings_about_a_file_are_told_of_that_file_alone(run, home):
     assert not any("misnamed" in text for text in told)
 
 
+def test_a_copy_is_warned_of_under_its_own_name(run, home):
+    for name in ("first", "second"):
+        shutil.copy(home / "sub-01_T1w.nii.gz", home / f"{name}.nii")
+        told = [item["text"] for item in run("--skull-on", "stripped", image=f"{name}.nii", output="a")[0]["warnings"]]
+        assert any(f"{name}.nii is gzip" in text for text in told)
+
+
+def test_measured_boundary_is_read_in_the_space_of_the_run(run, home):
+    """The same motion in RAS and in LPS; the cut too, while vectors of lips are plane RAS."""
+    angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    rows = np.column_stack([45 * np.cos(angle), 55 * np.sin(angle), 1 + np.cos(angle), -0.5 * np.sin(angle)])
+    solved = []
+    for space, sign in (("ras", 1), ("lps", -1)):
+        np.savetxt(home / f"{space}.csv", sign * rows, delimiter=",", header="x,y,ux,uy", comments="")
+        cut = " ".join(f"{sign * x},{sign * y}" for x, y in ((-60, 10), (-15, 5)))
+        record, _ = run("--space", space, "--boundary-displacement", f"{space}.csv", output=space,
+                        base=(*QUICK, "--left", "0.3,2", "--right", "0.3,-2", "--cut", cut))
+        solved.append(meshio.read(home / space / record["outputs"]["solution"]).point_data["displacement"])
+    np.testing.assert_allclose(solved[0], solved[1], atol=1e-9)
+
+
+def test_nan_in_a_mask_is_background_and_a_mask_of_several_volumes_is_refused(run, home, capfd):
+    mask = (brain() > 0).astype(np.float32)
+    holes = np.where(mask > 0, mask, np.nan)
+    one, other = write(home / "mask0.nii.gz", mask), write(home / "masknan.nii.gz", holes)
+    found = [run("--mask", path, output="m", base=("--stop-after", "segment"))[0] for path in (one, other)]
+    assert found[0]["segmentation"] == found[1]["segmentation"]
+    several = write(home / "mask4d.nii.gz", np.stack([mask[..., None]] * 2, -1))
+    code, _, stderr = xfemnav(capfd, "segment", "sub-01_T1w.nii.gz", "--mask", several, "-o", "m", "-w", "cache")
+    assert code == 65 and stderr.startswith("E121 mask mask4d.nii.gz") and "file of its own" in stderr
+
+
 def test_spacing_given_by_hand_is_that_of_the_mask_too(run, home):
     values, mask = brain(), (brain() > 0).astype(np.uint8)
     image, organ = write(home / "bare.nii.gz", values, np.eye(4)), write(home / "bare_mask.nii.gz", mask, np.eye(4))

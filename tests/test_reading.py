@@ -4,6 +4,7 @@ import gzip
 import os
 import signal
 import tracemalloc
+from dataclasses import replace
 
 import nibabel
 import numpy as np
@@ -75,6 +76,8 @@ def test_digest_is_of_the_content_and_not_of_the_file(tmp_path):
     assert len({image.digest for name, image in zip(same, images) if name != "d.nii"}) == 1
     assert len({image.file_digest for image in images}) == len(same)
     assert images[0].file_digest == file_digest(tmp_path / "a.nii")
+    coded = replace(images[0], frame_code=4)  # the outputs carry the code
+    assert coded.digest != images[0].digest
     changed = volume()
     changed[1, 2, 1] += 1
     moved = AFFINE + np.eye(4)[:, [3, 0, 1, 2]] * 0.5

@@ -50,8 +50,8 @@ class Image:
 
     @cached_property
     def digest(self) -> str:
-        """sha256 over decoded voxels and affine: one content, one digest, under any name or compression."""
-        content = hashlib.sha256(repr(self.values.shape).encode())
+        """sha256 over decoded voxels, affine and its code: one content, one digest, under any name or compression."""
+        content = hashlib.sha256(repr((*self.values.shape, self.frame_code)).encode())
         content.update(self.affine.astype("<f8"))
         content.update(self.values.astype("<f8", copy=False))
         return content.hexdigest()

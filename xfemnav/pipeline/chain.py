@@ -15,6 +15,11 @@ from xfemnav.pipeline.config import Config, ReadParams
 from xfemnav.pipeline.keys import canonical, digest, file_digest, stage_key
 from xfemnav.pipeline.stages import FIGURE, IMAGING, STAGES, Stage
 
+# --volume and --nan are the image's alone: what to do about another file that would need them.
+REMEDIES = {
+    "E121": "holds several volumes, and --volume is the image's alone. Save the one that counts as a file of its own.",
+    "E103": "has NaN or infinite voxels, and --nan is the image's alone. Save it with numbers in their place.",
+}
 FACTS, VALUE = "facts.json", ("value.json", "value.npz")
 
 
@@ -75,16 +80,23 @@ class Inputs:
         return self.images[role]
 
     def reading(self, role: str) -> ReadParams:
-        """How a file is read: pixel sizes given by hand are those of the mask too, the rest is the image's alone."""
-        return {"image": self.read, "mask": ReadParams(spacing=self.read.spacing)}.get(role, ReadParams())
+        """How a file is read: pixel sizes given by hand are those of the mask too, and NaN in a mask is background."""
+        return {"image": self.read, "mask": ReadParams(nan=0.0, spacing=self.read.spacing),
+                "template_mask": ReadParams(nan=0.0)}.get(role, ReadParams())
 
     def decoded(self, role: str):
         """Read and decode an input file."""
         from xfemnav.imaging.reading import read_image
 
-        read = self.reading(role)
-        return read_image(self.files[role], volume=read.volume, nan=read.nan, spacing=read.spacing,
-                          max_memory_gb=self.max_memory_gb)
+        read, path = self.reading(role), self.files[role]
+        try:
+            return read_image(path, volume=read.volume, nan=read.nan, spacing=read.spacing,
+                              max_memory_gb=self.max_memory_gb)
+        except XfemnavError as error:
+            if role == "image" or error.code not in REMEDIES:
+                raise
+            text = f"{role.replace('_', ' ')} {path.name} {REMEDIES[error.code]}"
+            raise XfemnavError(error.code, text) from None
 
 
 @dataclass
@@ -175,7 +187,7 @@ class Chain:
         return Done(stage.name, status, time.perf_counter() - start, entry, facts, (*healing, *caught))
 
     def _image_facts(self, role: str, path: Path) -> tuple[dict, tuple[Warned, ...]]:
-        """Digest of the decoded voxels and affine, remembered by the digest of the file's bytes."""
+        """Digest of the decoded voxels and affine, remembered by the file's name and the digest of its bytes."""
         def build(folder: Path) -> None:
             with recorded() as caught:
                 image = self.inputs.images[role] = self.inputs.decoded(role)
@@ -187,8 +199,8 @@ class Chain:
         if not path.is_file() or path.stat().st_size > self.config.max_memory_gb * 1e9:
             self.inputs.decoded(role)  # refuses it, with the reason
         raw = file_digest(path)
-        zipped = path.suffix == ".gz"  # a name that disagrees with the content is told (W107)
-        key = stage_key("read", ("imaging",), IMAGING, self.inputs.reading(role), {"raw": raw, "zipped": zipped})
+        # What reading warns of names the file.
+        key = stage_key("read", ("imaging",), IMAGING, self.inputs.reading(role), {"raw": raw, "name": path.name})
         facts, noted = read_facts(self.cache.obtain(key, build)[0])
         return facts | {"sha256": raw}, noted
 

@@ -247,10 +247,10 @@ def _constrain_params(s: "Scenario", measured: Path | None) -> ConstrainParams:
 
 
 def read_displacements(path: Path) -> tuple[tuple[float, ...], ...]:
-    """Rows x, y, ux, uy[, side] (plane frame, mm) of a CSV with that header. Raises E100 and E408."""
+    """Rows x, y, ux, uy[, side] (plane mm in the run's space) of a CSV with that header. Raises E100 and E408."""
     if not path.is_file():
         raise XfemnavError("E100", f"no file of boundary displacements at {path}. Correct the path.")
-    with open(path, newline="", encoding="utf-8", errors="replace") as stream:
+    with open(path, newline="", encoding="utf-8-sig", errors="replace") as stream:
         table = csv.reader(stream)
         header = [name.strip() for name in next(table, [])]
         if header not in (["x", "y", "ux", "uy"], ["x", "y", "ux", "uy", "side"]):

@@ -103,7 +103,8 @@ class BoundarySection(Section):
     skull: Literal["fixed", "sliding", "free"] = Field("fixed", description="what the skull does to the outline")
     craniotomy_mm: NotNegative = Field(20.0, description="distance from a mouth within which the skull is off")
     skull_ramp_mm: NotNegative = Field(4.0, description="length over which the skull's grip sets in; 0: at a point")
-    displacement: Path_ | None = Field(None, description="CSV of the outline's measured motion: x,y,ux,uy[,side]")
+    displacement: Path_ | None = Field(
+        None, description="CSV of the outline's measured motion: x,y,ux,uy[,side], plane mm, read in `space`")
 
 
 class MeshSection(Section):
@@ -143,9 +144,10 @@ class Scenario(Section):
     xfemnav: Literal[1] = Field(description="version of this format")
     image: Path_ | None = Field(None, description="NIfTI; may be given on the command line instead")
     mask: Path_ | None = Field(None, description="the organ, on the image's grid: a slice or a volume")
-    space: Literal["ras", "lps", "voxel"] = Field("ras", description="how points are read")
-    volume: int | None = Field(None, ge=0, description="which volume of a 4-D image")
-    nan: float | None = Field(None, description="value for NaN and infinite voxels")
+    space: Literal["ras", "lps", "voxel"] = Field(
+        "ras", description="how points are read; displacements and forces of lips are plane RAS in each")
+    volume: int | None = Field(None, ge=0, description="which volume of a 4-D image; masks are 3-D")
+    nan: float | None = Field(None, description="value for NaN and infinite voxels of the image; in masks they are 0")
     spacing: Annotated[tuple[Positive, ...], Strict(False), Field(min_length=2, max_length=3)] | None = Field(
         None, description="pixel sizes, mm, in place of the header's frame")
     resample_mask: bool = Field(False, description="accept a mask on another grid")
@@ -243,6 +245,10 @@ def _cross_problems(raw: dict) -> list[str]:
             near = difflib.get_close_matches(str(name), map(str, cuts), 1, 0.5)
             hint = f", did you mean '{near[0]}'?" if near else ""
             found.append(f"retract.{i}.cut: no cut is called '{name}'{hint}")
+    boundary = raw.get("boundary")
+    if raw.get("space") == "voxel" and isinstance(boundary, dict) and boundary.get("displacement") is not None:
+        found.append("boundary.displacement (--boundary-displacement): its rows are plane mm, which space 'voxel' does "
+                     "not read; give them and the cuts in ras or lps")
     return found
 
 

@@ -140,8 +140,6 @@ def _placed(slice, cuts, space, outline):
 
 def constrain(params, inputs):
     """The cuts embedded in the mesh, and the conditions on lips and outline: a Problem."""
-    import numpy as np
-
     from xfemnav.mechanics.problem import Material, Retraction, Skull, pose
 
     slice, _ = inputs.value("segment")
@@ -149,13 +147,25 @@ def constrain(params, inputs):
     cuts = _placed(slice, params.cuts, params.space, mesh.points[mesh.boundary_loops[0]])
     blades = tuple(Retraction(cut=r.cut, side=r.side, displacement_mm=r.displacement_mm, normal_mm=r.normal_mm,
                               force_mN_per_mm=r.force_mN_per_mm, blade=r.blade) for r in params.retractions)
-    measured = params.boundary_displacement
     return pose(
         mesh, cuts, Material(params.young_kpa, params.poisson, params.stress_state),
         Skull(params.skull, params.craniotomy_mm, params.skull_ramp_mm), blades,
-        boundary_displacement=None if measured is None else np.array(measured), tip_enrichment=params.tip_enrichment,
+        boundary_displacement=_measured(slice, params), tip_enrichment=params.tip_enrichment,
         lip_constraint=params.lip_constraint, hold_tip=params.hold_tip,
     )
+
+
+def _measured(slice, params):
+    """Rows x, y, ux, uy[, side] (plane mm) of the measured boundary: points and vectors are read as cuts are."""
+    import numpy as np
+
+    from xfemnav.imaging.slices import plane_points
+
+    if params.boundary_displacement is None:
+        return None
+    rows = np.array(params.boundary_displacement)
+    return np.hstack([plane_points(slice, rows[:, :2], params.space), plane_points(slice, rows[:, 2:4], params.space),
+                      rows[:, 4:]])
 
 
 def constrain_facts(value, inputs):
