@@ -45,6 +45,8 @@ def test_force_computes_again(tmp_path):
     with pytest.raises(AssertionError):
         cache.obtain(KEY, refuse, force=True)
     assert cache.obtain(KEY, refuse)[1] == "cached"  # the failed attempt left the good entry alone
+    assert not list((tmp_path / "damaged").iterdir())  # what was replaced was not damaged
+    assert not list((tmp_path / "entries").glob("*/.*"))
 
 
 def test_every_bit_flip_heals(tmp_path):

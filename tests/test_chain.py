@@ -223,10 +223,13 @@ def test_warnings_are_told_again_when_all_is_cached_and_strict_makes_them_the_er
     codes = [[item["code"] for item in run(base=prolonged, output="warned")[0]["warnings"]] for _ in range(2)]
     assert "W301" in codes[0] and codes[0] == codes[1]
     code, _, stderr = xfemnav(capfd, "run", "sub-01_T1w.nii.gz", "-o", "warned", "-w", "cache", "--strict", *prolonged)
-    failed = json.loads((home / "warned" / "run.json").read_text())
+    assert code == 65 and "--strict" in stderr
+    assert json.loads((home / "warned" / "run.json").read_text())["status"] == "complete"  # the earlier run's
+    xfemnav(capfd, "run", "sub-01_T1w.nii.gz", "-o", "strict", "-w", "cache", "--strict", *prolonged)
+    failed = json.loads((home / "strict" / "run.json").read_text())
     jsonschema.validate(failed, run_schema())
-    assert code == 65 == failed["exit_code"] and failed["status"] == "failed" and "--strict" in stderr
-    assert [path.name for path in (home / "warned").iterdir()] == ["run.json"]  # no outputs that run.json denies
+    assert failed["status"] == "failed" and failed["exit_code"] == 65
+    assert [path.name for path in (home / "strict").iterdir()] == ["run.json"]  # no outputs that run.json denies
 
 
 def test_input_that_changes_under_way_is_refused_and_nothing_of_it_is_kept(home, capfd, monkeypatch):

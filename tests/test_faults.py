@@ -4,6 +4,7 @@ One table. The numbers are those of the project's list of faults; every case hol
 is that of the code, the message is one line, no public file is left, and the same command works without the fault.
 """
 
+import errno
 import gzip
 import json
 import os
@@ -17,6 +18,7 @@ import pytest
 from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 
 from xfemnav.errors import FAULTS
+from xfemnav.pipeline import disk
 from xfemnav.pipeline.runfile import run_schema
 
 GOOD = {"cut": CUT, "lips": OPEN}
@@ -270,7 +272,8 @@ def test_internal_cut_is_allowed_when_asked_for(tmp_path, capfd):
 
 
 @pytest.mark.parametrize("name", ["ü ñ 脑.nii.gz", "two words.nii.gz", "new\nline.nii.gz", "-x.nii.gz",
-                                  "b" * 200 + ".nii.gz", "esc\x1b[31m.nii.gz", os.fsdecode(b"not-\xff-utf8.nii.gz")])
+                                  "b" * 240 + ".nii.gz", "ü" * 124 + ".nii.gz",
+                                  "esc\x1b[31m.nii.gz", os.fsdecode(b"not-\xff-utf8.nii.gz")])
 def test_any_file_name_works_and_no_terminal_obeys_it(tmp_path, capfd, name):
     """Rows 55 and 59."""
     image = write(tmp_path / "x.nii.gz").rename(tmp_path / name)
@@ -298,3 +301,46 @@ def test_output_of_the_last_run_may_be_an_input_but_not_in_its_own_folder(tmp_pa
     assert code == 73 and failed["error"]["code"] == "E731" and updated.is_file()
     moved = updated.rename(tmp_path / updated.name)
     assert run(tmp_path, capfd, moved, "--stop-after", "segment")[0] == 0 and moved.is_file()
+
+
+def test_scenario_table_and_foreign_files_in_the_output_folder_are_never_overwritten(tmp_path, capfd):
+    """Row 56: what no run recorded there is not ours, whatever its name."""
+    image, out = write(tmp_path / "head.nii.gz"), tmp_path / "out"
+    out.mkdir()
+    (out / "case.toml").write_text("xfemnav = 1\n")
+    for name, flags in (("report.html", ()), ("head_desc-updated.json", ()), ("run.json", ()),
+                        ("figure.png", ("--scenario", out / "figure.png")),
+                        ("head_mesh.vtu", ("--boundary-displacement", out / "head_mesh.vtu"))):
+        content = "xfemnav = 1\n" if "--scenario" in flags else "x,y,ux,uy\n-45,0,0,0\n45,0,0,0\n"
+        (out / name).write_text(content)
+        code, failed = run(tmp_path, capfd, image, *flags)
+        assert code == 73 and failed["error"]["code"] == "E731" and name in failed["error"]["text"]
+        assert (out / name).read_text() == content and {path.name for path in out.iterdir()} == {"case.toml", name}
+        (out / name).unlink()
+    assert run(tmp_path, capfd, image, "--scenario", out / "case.toml")[0] == 0
+
+
+def test_a_run_that_fails_leaves_an_earlier_result_as_it_is(tmp_path, capfd, monkeypatch):
+    image, out = write(tmp_path / "head.nii.gz"), tmp_path / "out"
+    assert run(tmp_path, capfd, image)[0] == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+
+    def left():
+        return {path.name: path.read_bytes() for path in out.iterdir()}
+
+    assert run(tmp_path, capfd, image, "--skull-ramp-mm", "nan")[0] == 78 and left() == before
+    assert run(tmp_path, capfd, tmp_path / "head.nii.gz", "--slice", "9")[0] == 65 and left() == before
+    full = OSError(errno.ENOSPC, "No space left on device")
+    with monkeypatch.context() as patched:  # the disk is full when the new files are written
+        patched.setattr(disk.os, "fsync", lambda handle: (_ for _ in ()).throw(full))
+        assert run(tmp_path, capfd, image, "--opening-mm", "3")[0] == 74 and left() == before
+    assert run(tmp_path, capfd, image, "--opening-mm", "3")[0] == 0 and left() != before
+
+
+def test_names_too_long_for_any_disk_are_one_error(tmp_path, capfd):
+    name = "x" * 300
+    for flags in ((name + ".nii.gz",), ("head.nii.gz", "--mask", name), ("head.nii.gz", "--mesh", name),
+                  ("head.nii.gz", "--scenario", name), ("head.nii.gz", "--boundary-displacement", name)):
+        write(tmp_path / "head.nii.gz")
+        code, failed = run(tmp_path, capfd, *(flag if flag.startswith("-") else tmp_path / flag for flag in flags))
+        assert code == 66 and failed["error"]["code"] == "E100", flags

@@ -114,7 +114,9 @@ FAULTS: dict[str, Fault] = {
     "E503": Fault(75, "another run holds this output folder", "Two runs write to one folder.", "Wait for it, or give another `-o`."),
     # 7xx: other files and settings
     "E701": Fault(65, "file cannot be read", "A file beside the image is not in its format.", "Write it again."),
-    "E731": Fault(73, "output would overwrite an input", "The output folder holds a file that the run reads.", "Give another `-o`."),
+    "E731": Fault(73, "output would overwrite a file that is not its own",
+                  "The output folder holds a file that the run reads, or one of an output's name that no `run.json` there claims.",
+                  "Give another `-o`, or move the file."),
     "E780": Fault(78, "scenario or option is not valid", "A value has the wrong type, name or range.",
                   "The message lists every problem with its place."),
     "E781": Fault(78, "scenario names a file outside its folder", "Paths in a scenario stay in its folder.",

@@ -127,10 +127,10 @@ class Cache:
 
     def _write(self, key: str, build: Callable[[Path], None]) -> Entry:
         folder = self._folder(key)
-        temporary = folder.with_name(f".{key}{TEMPORARY}")
+        temporary, replaced = (folder.with_name(f".{key}{part}{TEMPORARY}") for part in ("", "-replaced"))
         with writing(self.root, "the cache"):
-            if temporary.exists():  # a killed run's; we hold the key's lock
-                shutil.rmtree(temporary)
+            for left in filter(Path.exists, (temporary, replaced)):  # a killed run's; we hold the key's lock
+                shutil.rmtree(left)
             temporary.mkdir(parents=True)
             try:
                 build(temporary)
@@ -138,9 +138,10 @@ class Cache:
                 (temporary / MANIFEST).write_bytes(canonical({"key": key, "files": files}))
                 for path in (*temporary.rglob("*"), temporary):
                     sync(path)
-                if folder.exists():
-                    self._set_aside(key)
+                if folder.exists():  # made anew by force
+                    os.rename(folder, replaced)
                 os.rename(temporary, folder)
+                shutil.rmtree(replaced, ignore_errors=True)
                 sync(folder.parent)
             except BaseException:
                 shutil.rmtree(temporary, ignore_errors=True)

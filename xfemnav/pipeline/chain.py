@@ -1,6 +1,7 @@
 """The chain of stages through the cache: each is looked up by its content key, and computed when it is not there."""
 
 import json
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -196,7 +197,7 @@ class Chain:
             write_facts(folder, {"digest": image.digest, "shape": list(image.values.shape), "dtype": image.dtype,
                                  "affine": image.affine.tolist()}, caught)
 
-        if not path.is_file() or path.stat().st_size > self.config.max_memory_gb * 1e9:
+        if not os.path.isfile(path) or path.stat().st_size > self.config.max_memory_gb * 1e9:
             self.inputs.decoded(role)  # refuses it, with the reason
         raw = file_digest(path)
         # What reading warns of names the file.
@@ -205,7 +206,7 @@ class Chain:
         return facts | {"sha256": raw}, noted
 
     def _mesh_facts(self, path: Path) -> tuple[dict, tuple[Warned, ...]]:
-        if not path.is_file():
+        if not os.path.isfile(path):
             from xfemnav.pipeline.files import read_vtu
 
             read_vtu(path, "E209")  # refuses it, with the reason

@@ -5,6 +5,7 @@ A stage's key holds exactly its dataclass, so a parameter stands in the stage th
 
 import csv
 import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -122,7 +123,10 @@ class WarpParams:
 
 @dataclass(frozen=True)
 class Config:
-    """A checked run: its input files, the parameters of reading and of each stage, and the scenario that says all."""
+    """A checked run: its input files, the parameters of reading and of each stage, and the scenario that says all.
+
+    `also_read` are files whose content the parameters hold: the scenario, the measured boundary.
+    """
 
     parameters: dict
     image: Path
@@ -130,6 +134,7 @@ class Config:
     template: Path | None
     template_mask: Path | None
     mesh_file: Path | None
+    also_read: tuple[Path, ...]
     max_memory_gb: float
     strict: bool
     read: ReadParams
@@ -166,7 +171,8 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
         found.append("image: no image was given")
     if STAGES.index(until) >= STAGES.index("constrain") and not raw.get("cut"):
         found.append("cut: no cut was given (--cut 'x,y x,y ...')")
-    return _resolved(validated(raw, FLAG_OF, tuple(found)), files)
+    also_read = (scenario and Path(scenario), files.get("boundary.displacement"))
+    return _resolved(validated(raw, FLAG_OF, tuple(found)), files, tuple(filter(None, also_read)))
 
 
 def scenario_problems(path: Path) -> list[str]:
@@ -179,16 +185,16 @@ def scenario_problems(path: Path) -> list[str]:
         files = confined(raw, path.parent)
     except XfemnavError as error:
         return [str(error)]
-    found += [f"E100 {place}: no file at {file}" for place, file in files.items() if not file.is_file()]
+    found += [f"E100 {place}: no file at {file}" for place, file in files.items() if not os.path.isfile(file)]
     return found
 
 
-def _resolved(s: "Scenario", files: dict[str, Path]) -> Config:
+def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]) -> Config:
     s = s.model_copy(update={"retract": tuple(_filled(r, s) for r in s.retract)})
     return Config(
         parameters=s.model_dump(mode="json", exclude={"xfemnav"}),
         image=files["image"], mask=files.get("mask"), template=files.get("segment.template"),
-        template_mask=files.get("segment.template_mask"), mesh_file=files.get("mesh.file"),
+        template_mask=files.get("segment.template_mask"), mesh_file=files.get("mesh.file"), also_read=also_read,
         max_memory_gb=s.max_memory_gb, strict=s.strict,
         read=ReadParams(s.volume, s.nan, s.spacing),
         segment=SegmentParams(s.slice.plane, s.slice.index, s.slice.position_mm, s.segment.method, s.segment.skull,
@@ -248,7 +254,7 @@ def _constrain_params(s: "Scenario", measured: Path | None) -> ConstrainParams:
 
 def read_displacements(path: Path) -> tuple[tuple[float, ...], ...]:
     """Rows x, y, ux, uy[, side] (plane mm in the run's space) of a CSV with that header. Raises E100 and E408."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise XfemnavError("E100", f"no file of boundary displacements at {path}. Correct the path.")
     with open(path, newline="", encoding="utf-8-sig", errors="replace") as stream:
         table = csv.reader(stream)

@@ -1,9 +1,10 @@
 """Writing that survives a full disk, a read-only folder and `kill -9`: a file is there whole, or not at all."""
 
 import errno
+import itertools
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from xfemnav.errors import XfemnavError
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 TEMPORARY = ".xfemnav-tmp"  # ending of files that a killed run may leave; the next run removes them
+
+NUMBERS = itertools.count()
 
 
 @contextmanager
@@ -31,9 +34,12 @@ def write_atomic(path: Path, data: bytes) -> None:
     write_together(path.parent, {path.name: data})
 
 
-def write_together(folder: Path, files: dict[str, bytes]) -> None:
-    """Put `files` (name -> bytes) into `folder`, each in one step: temporary sibling, fsync, rename; then fsync it."""
-    temporaries = [folder / f".{os.getpid()}-{i}{TEMPORARY}" for i in range(len(files))]
+def write_together(folder: Path, files: dict[str, bytes], before: Callable[[], None] = lambda: None) -> None:
+    """Put `files` (name -> bytes) into `folder`, each in one step: temporary sibling, fsync, rename; then fsync it.
+
+    `before` is called when all is on the disk and nothing has been renamed.
+    """
+    temporaries = [folder / f".{os.getpid()}-{next(NUMBERS)}{TEMPORARY}" for _ in files]
     with writing(folder, ", ".join(files)):
         try:
             for temporary, data in zip(temporaries, files.values()):
@@ -41,6 +47,7 @@ def write_together(folder: Path, files: dict[str, bytes]) -> None:
                     stream.write(data)
                     stream.flush()
                     os.fsync(stream.fileno())
+            before()
             for temporary, name in zip(temporaries, files):
                 os.replace(temporary, folder / name)
             sync(folder)

@@ -1,6 +1,7 @@
 """Public files: meshes as VTU through meshio, images as NIfTI. The only caller of meshio, which is unmaintained."""
 
 import gzip
+import os
 import zlib
 from pathlib import Path
 from xml.etree.ElementTree import ParseError
@@ -30,7 +31,7 @@ def read_vtu(path: Path, code: str):
     """The meshio mesh in a VTU file, and its triangles. Raises E100, and the error `code` when it is none."""
     import meshio
 
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise XfemnavError("E100", f"no mesh file at {path}. Correct the path.")
     head = path.read_bytes()[:1000]
     if b"<VTKFile" not in head or b"<!" in head.replace(b"<!--", b""):

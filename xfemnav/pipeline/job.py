@@ -75,12 +75,13 @@ def opened_cache(root: Path) -> Iterator[tuple[Cache, tuple[Warned, ...]]]:
 def run(config: Config, options: Options, listener: Listener = Listener()) -> dict:
     """Run the stages, publish their files, and return the record that was written as run.json.
 
-    A failure is recorded in run.json and raised again: XfemnavError, Interrupted, or a bug.
+    A failure (XfemnavError, Interrupted, or a bug) is recorded in run.json, unless the result of an earlier run is
+    there still whole, and raised again.
     """
     output = options.output.absolute()
     with (output_folder(output, config.image, listener.waiting) as folder,
           opened_cache(options.cache) as (cache, warned)):
-        folder.refuse_overwriting([*config.inputs().values()])
+        folder.refuse_overwriting([*config.inputs().values(), *config.also_read])
         chain = Chain(config, cache, options.force_from, listener.started, listener.finished)
         chain.warned += warned
         if passing := settle_kernel_cache():
@@ -89,8 +90,7 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
         try:
             return _run(chain, options, folder, record)
         except BaseException as error:
-            folder.write_record(_reported(chain, record) | failure(error))
-            folder.remove_earlier()
+            folder.write_failure(_reported(chain, record) | failure(error))
             raise
 
 

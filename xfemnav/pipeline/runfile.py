@@ -1,6 +1,8 @@
 """The output folder: public files put in place one by one, each whole, and run.json last of all.
 
-While files are being replaced, run.json says 'interrupted', so that a folder whose run died never looks complete.
+While files are being replaced, run.json says 'interrupted', so that a folder whose run died never looks complete; it
+then claims the files that it may have left. Files that no run.json claims are never overwritten, and a run that fails
+before anything public changed leaves a complete earlier result as it is.
 """
 
 import hashlib
@@ -17,6 +19,7 @@ from xfemnav.pipeline.keys import file_digest
 from xfemnav.pipeline.locks import locked
 
 RECORD = "run.json"
+LONGEST_NAME = 255  # bytes, on the usual file systems
 SCHEMA = "xfemnav-run/1"
 BIDS = re.compile(r"(sub-[A-Za-z0-9]+(?:_[a-z]+-[A-Za-z0-9]+)*)_([A-Za-z0-9]+)$")
 #: role: (description entity, suffix; None keeps the image's own, ending)
@@ -59,8 +62,16 @@ def public_name(image: Path, role: str) -> str:
     base, own = match.groups() if match else (stem(image), None)
     if match and description:
         base = re.sub(r"_desc-[A-Za-z0-9]+", "", base)
-    parts = [base, description and f"desc-{description}", suffix or own]
-    return "_".join(filter(None, parts)) + ending
+    parts = [description and f"desc-{description}", suffix or own]
+    tail = "".join(f"_{part}" for part in parts if part) + ending
+    while len(os.fsencode(base + tail)) > LONGEST_NAME:
+        base = base[:-1]
+    return base + tail
+
+
+def sidecar_name(name: str) -> str:
+    """Name of the JSON beside an image."""
+    return name.removesuffix(".nii.gz") + ".json"
 
 
 def read_record(folder: Path) -> dict:
@@ -68,14 +79,19 @@ def read_record(folder: Path) -> dict:
     path = folder / RECORD
     if not path.is_file():
         raise XfemnavError("E100", f"no {RECORD} in {folder}. Give the output folder of a run.")
-    try:
-        record = json.loads(path.read_bytes())
-        known = record["schema"] == SCHEMA
-    except (ValueError, KeyError, TypeError):
-        known = False
-    if not known:
+    record = _record_in(path)
+    if record is None:
         raise XfemnavError("E701", f"{path} is no {SCHEMA} record. Run the command again.")
     return record
+
+
+def _record_in(path: Path) -> dict | None:
+    """The record in a file, None when it is no record of ours."""
+    try:
+        record = json.loads(path.read_bytes())
+        return record if record["schema"] == SCHEMA else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def run_schema() -> dict:
@@ -88,7 +104,9 @@ class OutputFolder:
 
     def __init__(self, path: Path, image: Path):
         self.path, self.image = path, image
-        self.earlier = self._outputs_of_earlier_run()
+        record = _record_in(path / RECORD) or {}
+        self.earlier = _claimed(record)
+        self.whole = record.get("status") in ("complete", "untrusted")  # an earlier result that nothing has touched
 
     def names(self, roles) -> dict[str, str]:
         """Public name of each role."""
@@ -97,18 +115,31 @@ class OutputFolder:
     def publish(self, files: dict[str, tuple[Path, str]], record: dict) -> dict[str, str]:
         """Put `files` (role -> path in the cache, sha256) in place; their public names by role."""
         names = self.names(files)
-        self.write_record(record | {"status": "interrupted", "exit_code": 130, "outputs": {}})
         changed = {names[role]: source.read_bytes() for role, (source, sha256) in files.items()
                    if not self._holds(names[role], sha256)}
         maker = {"Sources": [self.image.name], "GeneratedBy": [{"Name": "xfemnav", "Version": record["version"]}]}
         for role in SIDECARS.keys() & files.keys():
             sidecar = json_text(SIDECARS[role] | maker).encode()
-            name = names[role].replace(".nii.gz", ".json")
+            name = sidecar_name(names[role])
             if not self._holds(name, hashlib.sha256(sidecar).hexdigest()):
                 changed[name] = sidecar
-        write_together(self.path, changed)
-        self.remove_earlier(keep=set(names.values()))
+        keep = {*names.values()} | {sidecar_name(names[role]) for role in SIDECARS.keys() & files.keys()}
+        under_way = record | {"status": "interrupted", "exit_code": 130, "outputs": {}}
+
+        def begin():
+            self.earlier |= keep
+            self.write_record(under_way | {"claims": sorted(self.earlier)})
+            self.whole = False
+
+        write_together(self.path, changed, begin)
+        self.remove_earlier(keep)
         return names
+
+    def write_failure(self, record: dict) -> None:
+        """Record a failure and remove what earlier runs left, unless a whole earlier result is there still."""
+        if not self.whole:
+            self.remove_earlier()
+            self.write_record(record)
 
     def write_record(self, record: dict) -> None:
         """Write run.json in one step."""
@@ -119,29 +150,35 @@ class OutputFolder:
         with writing(self.path, "the outputs"):
             for name in self.earlier - keep:
                 (self.path / name).unlink(missing_ok=True)
-                if name.endswith(".nii.gz"):
-                    (self.path / name.replace(".nii.gz", ".json")).unlink(missing_ok=True)
 
     def refuse_overwriting(self, inputs: list[Path]) -> None:
-        """Raise E731 when an input would be replaced by a public file, or removed as one of the earlier run."""
-        names = self.earlier | {public_name(self.image, role) for role in (*NAMES, "figure", "report")}
-        targets = {(self.path / name).resolve() for name in names}
+        """Raise E731 when an input, or a file that no earlier run made, would be replaced or removed."""
+        images = {public_name(self.image, role) for role in NAMES}
+        new = images | {sidecar_name(name) for name in images if name.endswith(".nii.gz")}
+        new |= {public_name(self.image, role) for role in ("figure", "report")}
+        targets = {(self.path / name).resolve() for name in self.earlier | new | {RECORD}}
         for path in inputs:
             if path.resolve() in targets:
                 raise XfemnavError("E731", f"the output would overwrite the input {path}. Give another folder with -o.")
+        foreign = {name for name in new - self.earlier if os.path.lexists(self.path / name)}
+        if os.path.lexists(self.path / RECORD) and _record_in(self.path / RECORD) is None:
+            foreign.add(RECORD)
+        if foreign:
+            raise XfemnavError("E731", f"the output would overwrite {', '.join(sorted(foreign))} in {self.path}, which "
+                                       "no run of xfemnav has recorded there. Give another folder with -o, or move it.")
 
     def _holds(self, name: str, sha256: str) -> bool:
         """Whether the file is there already with this content."""
         target = self.path / name
         return target.is_file() and not target.is_symlink() and file_digest(target) == sha256
 
-    def _outputs_of_earlier_run(self) -> set[str]:
-        """Names of public files in the folder, from its run.json; a name that leads elsewhere is left out."""
-        try:
-            outputs = json.loads((self.path / RECORD).read_bytes())["outputs"]
-            return {name for name in outputs.values() if os.sep not in name and name not in (".", "..")}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            return set()
+
+def _claimed(record: dict) -> set[str]:
+    """Names of the files that a record claims, sidecars too; a name that leads elsewhere is left out."""
+    outputs, claims = record.get("outputs"), record.get("claims")
+    found = [*(outputs.values() if isinstance(outputs, dict) else ()), *(claims if isinstance(claims, list) else ())]
+    names = {name for name in found if isinstance(name, str) and os.sep not in name and name not in (".", "..")}
+    return names | {sidecar_name(name) for name in names if name.endswith(".nii.gz")}
 
 
 @contextmanager

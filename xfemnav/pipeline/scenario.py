@@ -5,6 +5,7 @@ the flag that sets it, and the nearest valid name for one that is not known.
 """
 
 import difflib
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -166,7 +167,7 @@ class Scenario(Section):
 
 def read_toml(path: Path) -> dict:
     """The raw scenario in a TOML file. Raises E100 (missing) and E780 (too large, too deep, no TOML)."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise XfemnavError("E100", f"no scenario file at {path}. Correct the path.")
     if path.stat().st_size > LIMIT_BYTES:
         raise XfemnavError("E780", f"{path.name} holds {path.stat().st_size} bytes; at most {LIMIT_BYTES} are read.")
