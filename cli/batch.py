@@ -47,11 +47,12 @@ class Outcome:
 
 
 def find_items(source: Path, target: Path) -> list[Item]:
-    """Every scenario of `source` with an image of its name, in the order of their names."""
+    """Every scenario of `source`, in the order of their names; where the image is missing, its run will say so."""
     items = []
     for scenario in sorted(source.glob("*.toml")):
         candidates = [scenario.with_name(scenario.stem + suffix) for suffix in IMAGE_SUFFIXES]
-        items += [Item(image, scenario, target / scenario.stem) for image in candidates if image.is_file()][:1]
+        image = next(filter(Path.is_file, candidates), candidates[0])
+        items.append(Item(image, scenario, target / scenario.stem))
     return items
 
 
@@ -95,12 +96,14 @@ def run_items(items: list[Item], jobs: int) -> list[Outcome]:
 def batch(source: Path, target: Path, jobs: int):
     """Run every slice of IN that has a <stem>.toml beside it into OUT/<stem>.
 
+    A <stem>.toml without its <stem>.nii.gz or .nii has failed.
+
     One failing slice never stops the others. Run again, finished work comes from the cache. Exit status 1 if any slice
     failed or is not trustworthy.
     """
     items = find_items(source, target)
     if not items:
-        raise click.UsageError(f"{printable(str(source))} holds no <stem>.nii.gz or .nii with a <stem>.toml beside it.")
+        raise click.UsageError(f"{printable(str(source))} holds no <stem>.toml of a <stem>.nii.gz or .nii.")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     outcomes = run_items(items, jobs)
     click.echo("\nslice                    result     stages             message")

@@ -61,7 +61,8 @@ def test_only_slices_with_a_scenario_of_their_name_are_run(tmp_path):
     for name in ("b.nii", "a.nii.gz", "a.toml", "b.toml", "alone.nii.gz", "nothing.toml", "a.txt"):
         (tmp_path / name).touch()
     items = find_items(tmp_path, Path("out"))
-    assert [(item.image.name, item.folder) for item in items] == [("a.nii.gz", Path("out/a")), ("b.nii", Path("out/b"))]
+    assert [(item.image.name, item.folder) for item in items] == [
+        ("a.nii.gz", Path("out/a")), ("b.nii", Path("out/b")), ("nothing.nii.gz", Path("out/nothing"))]
 
 
 def test_an_empty_folder_is_a_usage_error(tmp_path):
@@ -75,10 +76,14 @@ def test_a_failing_slice_stops_no_other_and_nothing_is_done_twice(tmp_path):
     write_slice(source, "good", 1.0)
     damaged = write_slice(source, "abroken", 1.0)
     damaged.write_bytes(damaged.read_bytes()[:-40])
+    lonely = source / "lonely.toml"  # its image was never copied
+    lonely.write_text(SCENARIO.format(opening=1.0))
 
     code, text = finished(batch(source, target, cache))
     assert code == 1
-    assert "1 updated, 0 untrusted, 1 failed" in text
+    assert "1 updated, 0 untrusted, 2 failed" in text
+    assert "E100" in next(line for line in text.splitlines() if line.startswith("lonely"))
+    lonely.unlink()
     assert "E101" in next(line for line in text.splitlines() if line.startswith("abroken"))
     assert stages(target, "good") == {"ran"}
     assert (target / "good" / "report.html").is_file()

@@ -76,7 +76,7 @@ def test_json_is_alone_on_stdout_and_quiet_says_nothing(head, capfd):
     assert code == 0 and json.loads(stdout)["status"] == "complete" and "segment" in stderr
     assert xfemnav(capfd, *command(head, "-q"))[1:] == ("", "")
     code, stdout, stderr = xfemnav(capfd, *command(head, "--json", "--poisson", "0.5"))
-    assert code == 65 and json.loads(stdout)["error"]["code"] == "E404" and stderr.splitlines()[-1].startswith("E404 ")
+    assert code == 78 and json.loads(stdout)["error"]["code"] == "E780" and stderr.splitlines()[-1].startswith("E780 ")
 
 
 def test_usage_errors_are_exit_2(head, capfd):
@@ -286,7 +286,20 @@ def test_check_lists_every_problem(head, capfd):
     assert xfemnav(capfd, "check", path) == (0, f"{path}: no problem found\n", "")
     path.write_text('xfemnav = 2\nimage = "no.nii"\nspace = "mni"\n[meshh]\n')
     code, stdout, _ = xfemnav(capfd, "check", path)
-    assert code == 78 and len(stdout.splitlines()) == 4
+    assert code == 78 and len(stdout.splitlines()) == 5
+    path.write_text("""
+xfemnav = 1
+tissue = {young_kpa = -1, poisson = 0.5}
+solve = {hold_tip = true}
+cut = [{name = "a", points = [[0, 0]]}, {name = "b", points = [[1, 1], [1, 1]]},
+       {name = "c", points = [[1e999, 0], [1, 1]]}]
+retract = [{cut = "a", side = "left", displacement_mm = [1e999, 0]},
+           {cut = "b", side = "left", normal_mm = 1, blade = [0.6, 0.2]}]
+""")
+    code, stdout, _ = xfemnav(capfd, "check", path)
+    places = [line.split(":")[0].split(" ")[0] for line in stdout.splitlines()]
+    assert code == 78 and sorted(places) == ["cut.0", "cut.1", "cut.2.points.0.0", "retract.0.displacement_mm.0",
+                                             "retract.1", "solve", "tissue.poisson", "tissue.young_kpa"]
 
 
 def test_schemas_are_schemas(capfd):

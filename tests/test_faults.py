@@ -127,6 +127,7 @@ def mesh_file(content):
 SHIFT = np.eye(4)
 SHIFT[0, 3] = 5
 FLAT = ([[0, 0, 10], [10, 0, 10], [20, 1e-9, 10]], [("triangle", [[0, 1, 2]])])
+FAR = ([[-80, 60, 10], [-60, 60, 10], [-60, 76, 10]], [("triangle", [[0, 1, 2]])])
 ABOVE = ([[0, 0, 50], [10, 0, 50], [0, 9, 50]], [("triangle", [[0, 1, 2]])])
 SCENARIO_CUT = "[[cut]]\npoints = [[-60, 10], [-15, 5]]\n"
 
@@ -162,8 +163,8 @@ CASES = {
     "cut outside": (26, "E301", cut("-90,90 -60,80")),
     "cut in LPS": (26, "E301", cut("70,40 58,33")),
     "cut deep inside": (27, "E302", cut("-10,0 10,0")),
-    "cut of one point": (28, "E303", cut("-60,10")),
-    "cut of equal points": (28, "E303", cut("-60,10 -60,10")),
+    "cut of one point": (28, "E780", cut("-60,10")),
+    "cut of equal points": (28, "E780", cut("-60,10 -60,10")),
     "cut crosses itself": (29, "E304", cut("-60,0 -10,0 -10,20 -30,-20")),
     "cut splits the brain": (30, "E306", lambda f: {
         "cut": "-20,0 20,0", "flags": ("--mask", write(f / "m.nii.gz", dumbbell()), "--skull", "free"), "lips": ()}),
@@ -174,11 +175,13 @@ CASES = {
     "displacement 1e999": (35, "E780", lips("--left", "1e999,1")),
     "displacement as text": (35, "E780", scenario(
         SCENARIO_CUT + '[[retract]]\nside = "left"\ndisplacement_mm = ["12", 1]\n')),
-    "blade beyond the cut": (36, "E402", flags("--blade", "0.2,1.4")),
-    "blade backwards": (36, "E402", flags("--blade", "0.6,0.2")),
+    "blade beyond the cut": (36, "E780", flags("--blade", "0.2,1.4")),
+    "blade backwards": (36, "E780", flags("--blade", "0.6,0.2")),
     "lips pushed into each other": (36, "E405", lips("--opening-mm", "-4")),
-    "Poisson 0.5": (37, "E404", flags("--poisson", "0.5")),
-    "Young 0": (37, "E404", flags("--young-kpa", "0")),
+    "Poisson 0.5": (37, "E780", flags("--poisson", "0.5")),
+    "Young 0": (37, "E780", flags("--young-kpa", "0")),
+    "blade without a lip": (36, "E780", lambda f: {"lips": (), "flags": ("--blade", "0,0.5")}),
+    "tip held without pointwise lips": (36, "E780", flags("--hold-tip")),
     "elements too small": (38, "E207", flags("--element-size-mm", "0.001", "--corridor-element-mm", "0.001")),
     "elements too large": (38, "E207", flags("--element-size-mm", "500", "--corridor-mm", "0")),
     "path out of the folder": (49, "E781", scenario(SCENARIO_CUT.replace("[[cut]]", 'mask = "../m.nii"\n[[cut]]'))),
@@ -189,6 +192,7 @@ CASES = {
     "VTU that ends early": (54, "E209", mesh_file(b'<VTKFile type="UnstructuredGrid"><UnstructuredGrid>')),
     "VTU with entities": (54, "E209", mesh_file(b'<!DOCTYPE x [<!ENTITY a "a">]><VTKFile>&a;</VTKFile>')),
     "mesh of flat triangles": (54, "E209", mesh_file(FLAT)),
+    "mesh beside the organ": (54, "E209", mesh_file(FAR)),
     "mesh off the slice": (54, "E209", mesh_file(ABOVE)),
 }
 

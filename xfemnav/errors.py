@@ -69,7 +69,7 @@ FAULTS: dict[str, Fault] = {
                   "A triangle is too flat, or the mesh lost a part of the outline narrower than its elements.",
                   "Use a smaller `--element-size-mm`, or smooth the mask."),
     "E209": Fault(65, "mesh file cannot be used",
-                  "The file given with `--mesh` is no VTU triangle mesh, or its triangles are flat, overlap or do not connect.",
+                  "The file given with `--mesh` is no VTU triangle mesh, or its triangles are flat, overlap, do not connect, or lie beside the organ.",
                   "Write it again as a VTU of triangles in mm (RAS)."),
     # 3xx: cuts
     "E301": Fault(65, "cut does not enter the organ", "No part of the cut lies inside the outline.",

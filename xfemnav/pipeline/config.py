@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
 BLADE = (0.0, 0.8)  # a lip held right up to the tip has infinite energy
 
+NO_CUT = "cut: no cut was given (--cut 'x,y x,y ...')"
+
 
 @dataclass(frozen=True)
 class ReadParams:
@@ -170,7 +172,7 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     if "image" not in files:
         found.append("image: no image was given")
     if STAGES.index(until) >= STAGES.index("constrain") and not raw.get("cut"):
-        found.append("cut: no cut was given (--cut 'x,y x,y ...')")
+        found.append(NO_CUT)
     also_read = (scenario and Path(scenario), files.get("boundary.displacement"))
     return _resolved(validated(raw, FLAG_OF, tuple(found)), files, tuple(filter(None, also_read)))
 
@@ -185,6 +187,8 @@ def scenario_problems(path: Path) -> list[str]:
         files = confined(raw, path.parent)
     except XfemnavError as error:
         return [str(error)]
+    if not raw.get("cut"):
+        found.append(NO_CUT)
     found += [f"E100 {place}: no file at {file}" for place, file in files.items() if not os.path.isfile(file)]
     return found
 

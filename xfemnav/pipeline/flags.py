@@ -117,6 +117,8 @@ def _add_lips(raw: dict, given: dict, found: list[str]) -> None:
         raw["retract"] = kept + [{"cut": first} | lip for lip in lips]
     if "blade" in given:
         blade = _vector(given["blade"], "--blade", "FROM,TO", found)
+        if not tables(raw, "retract"):
+            found.append("--blade: no lip is moved or pulled (--left, --right, --lip-force, --opening-mm)")
         raw["retract"] = [item | {"blade": blade} for item in tables(raw, "retract")]
 
 

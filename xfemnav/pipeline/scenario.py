@@ -61,6 +61,8 @@ class CutSection(Section):
     def _one_kind_of_point(self):
         if len({len(point) for point in self.points}) > 1:
             raise ValueError("points mixes points of 2 and of 3 numbers")
+        if len(set(self.points)) < 2:
+            raise ValueError("points must be at least two different ones, from the mouth to the tip")
         return self
 
 
@@ -81,6 +83,12 @@ class RetractSection(Section):
             raise ValueError("give exactly one of displacement_mm, normal_mm, force_mN_per_mm")
         return self
 
+    @model_validator(mode="after")
+    def _blade_on_the_cut(self):
+        if self.blade is not None and not 0 <= self.blade[0] < self.blade[1] <= 1:
+            raise ValueError("blade (--blade) must be FROM,TO with 0 <= FROM < TO < 1, 0 the mouth and 1 the tip")
+        return self
+
 
 class SegmentSection(Section):
     """How the organ is found when no mask is given."""
@@ -94,8 +102,8 @@ class SegmentSection(Section):
 class TissueSection(Section):
     """The material."""
 
-    young_kpa: float = Field(3.0, description="Young's modulus, kPa")
-    poisson: float = Field(0.45, description="Poisson's ratio, below 0.5")
+    young_kpa: Positive = Field(3.0, description="Young's modulus, kPa")
+    poisson: float = Field(0.45, ge=0, le=0.499, description="Poisson's ratio, below 0.5")
 
 
 class BoundarySection(Section):
@@ -129,6 +137,12 @@ class SolveSection(Section):
         "topological", description="nodes with tip functions: those about the tip, those near it, or none")
     lip_constraint: Literal["mortar", "nitsche", "pointwise"] = Field("mortar", description="how lips are held")
     hold_tip: bool = Field(False, description="hold the tip cell's crossings too (pointwise only)")
+
+    @model_validator(mode="after")
+    def _tip_of_pointwise_lips(self):
+        if self.hold_tip and self.lip_constraint != "pointwise":
+            raise ValueError("hold_tip (--hold-tip) needs lip_constraint (--lip-constraint) pointwise")
+        return self
 
 
 class WarpSection(Section):
@@ -203,7 +217,10 @@ def problems(raw: dict, flags: dict[str, str] | None = None) -> list[str]:
     try:
         Scenario.model_validate(raw)
     except ValidationError as error:
-        found = [_told(item, flags or {}) for item in error.errors(include_url=False)]
+        items = error.errors(include_url=False)
+        # A tuple is too short when one of its items is wrong, which is told already.
+        inner = {item["loc"][:n] for item in items for n in range(len(item["loc"]))}
+        found = [_told(item, flags or {}) for item in items if item["type"] != "too_short" or item["loc"] not in inner]
     return found + _cross_problems(raw)
 
 

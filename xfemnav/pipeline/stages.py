@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 # Linear strains grow as r^-1/2 at a tip, so a speck of tissue there is inverted at any opening: this much is no news.
 FOLDED_NOTICE_MM2 = 0.01
+FAR_MESH_MM = 5.0  # a given mesh may end this far from the mask's outline, or two of its boundary's edges
 INVERTED_LIMIT_MM2 = 1.0  # more folded tissue than this and the result is not trusted (E401)
 
 
@@ -73,7 +74,7 @@ def mesh(params, inputs):
     if params.from_file:
         from xfemnav.pipeline.files import read_mesh
 
-        return read_mesh(inputs.files["mesh_file"], slice)
+        return _about_the_organ(read_mesh(inputs.files["mesh_file"], slice), inputs)
     from xfemnav.geometry.distmesh import distmesh
     from xfemnav.geometry.sizing import SizeField
     from xfemnav.imaging.outline import outline_of
@@ -92,6 +93,22 @@ def mesh(params, inputs):
         fine = min(params.element_size_mm, params.corridor_element_mm)
         size = SizeField(params.element_size_mm, fine, params.corridor_mm, corridor, focus)
     return distmesh(outline, size)
+
+
+def _about_the_organ(mesh, inputs):
+    """The user's mesh. Raises E209 when its boundary is not the mask's outline, nearly."""
+    import numpy as np
+
+    from xfemnav.errors import XfemnavError
+
+    loop = mesh.points[mesh.boundary_loops[0]]
+    edge = float(np.median(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)))
+    limit, distance = max(FAR_MESH_MM, 2 * edge), _hausdorff(mesh, inputs)
+    if distance > limit:
+        raise XfemnavError("E209", f"{inputs.files['mesh_file'].name} ends up to {distance:.1f} mm from the mask's "
+                                   f"outline, over {limit:.1f} mm. Its points are world RAS mm (not LPS); give the "
+                                   "mask that it was made of, or make it anew.")
+    return mesh
 
 
 def mesh_facts(value, inputs):
