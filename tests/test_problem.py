@@ -279,3 +279,15 @@ def test_the_answer_is_linear_in_the_displacements():
         for m in ((1.0, 0.0), (0.5, -2.0), (2.5, -2.0))
     )
     assert_allclose(2 * one + two, three, atol=PATCH)
+
+
+@pytest.mark.parametrize("decimals", [4, 5, 6, 8])
+@pytest.mark.parametrize("end", [(1.7, 12.3), (-20.3, 31.1), (33.7, -4.9)])
+def test_a_straight_cut_drawn_with_many_points_is_that_cut(end, decimals):
+    """Points every .1 mm, rounded to a file's decimals: the same solution as with two points."""
+    start = np.array((3.0, 80.0))
+    n = int(np.linalg.norm(np.array(end) - start) / 0.1)
+    dense = np.round(start + np.linspace(0, 1, n)[:, None] * (np.array(end) - start), decimals)
+    cuts = [cut_in(MESH, *path) for path in ((start, end), dense)]
+    energy = [solve(pose(MESH, (cut,), BRAIN, HARD_SKULL, BOTH)).energy for cut in cuts]
+    assert energy[1] == pytest.approx(energy[0], rel=1e-3)  # the points are off by up to 5e-5 mm, the blade's end too

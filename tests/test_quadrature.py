@@ -139,3 +139,12 @@ def test_the_polar_rule_alone():
     x, w = polar_rule(UNIT)
     assert_allclose(w.sum(), 0.5, rtol=1e-14)
     assert_allclose((w * (x.sum(axis=-1)) ** -0.5).sum(), 1 / 1.5, rtol=1e-13)  # r' = x + y: integral of r'^(1/2)
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-5, 1e-7])
+def test_a_needle_beside_a_tip_costs_no_more_for_being_thin(width):
+    """The area is right to rounding, and the points grow with the logarithm of the width, not with its inverse."""
+    needle = np.array([[[-1.0, width], [1.0, width], [0.0, 2 * width]]])
+    points, weights, _ = tip_rule(needle, np.zeros((1, 2)))
+    assert weights.sum() == pytest.approx(width, rel=1e-9)
+    assert len(points) < 60_000

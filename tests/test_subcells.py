@@ -225,7 +225,7 @@ def test_a_tip_goes_on_as_it_was_drawn():
     """A node beside the line, just before the tip, bends the snapped cut but not the tip's axis."""
     mesh = grid()
     node = np.array([4.0, 4.0])
-    tip = node + np.array([1.3e-3, 0.6e-3])
+    tip = node + np.array([2.5e-3, 0.6e-3])
     subcells = embed(mesh, (cut_in(mesh, (-1.0, tip[1]), tip),))
     assert (subcells.paths[0][-2] == node).all()
     np.testing.assert_allclose(subcells.tip_travel, [[1.0, 0.0]], atol=1e-12)

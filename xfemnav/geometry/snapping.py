@@ -1,6 +1,7 @@
 """Snap a network of cuts to a mesh, so that no part is thinner than rounding can tell."""
 
 import numpy as np
+import shapely
 
 from xfemnav.geometry.mesh import orient
 
@@ -20,6 +21,7 @@ def snap(mesh, node_h, paths):
     edge_h = node_h[edges].min(axis=1)
     snapped = []
     for path in paths:
+        path = _simplified(path, mesh.points, node_h)
         path = np.array([_snap_vertex(x, mesh.points, node_h, edges, edge_h) for x in path])
         path = path[np.concatenate([[True], (np.diff(path, axis=0) != 0).any(axis=1)])]
         snapped.append(_through_near_nodes(path, mesh.points, node_h) if len(path) > 1 else path)
@@ -31,13 +33,34 @@ def snap(mesh, node_h, paths):
                 h = node_h[np.argmin(np.sum((mesh.points - path[end]) ** 2, axis=1))]
                 if np.linalg.norm(nearest - path[end]) < SNAP * h:
                     path[end] = nearest
+            _onto_near_lines(snapped, path, end, node_h[np.argmin(np.sum((mesh.points - path[end]) ** 2, axis=1))])
     return snapped
+
+
+def _onto_near_lines(paths, path, end, h):
+    """Move a cut's end onto the line of another segment that passes it by a hair: cells are split along whole lines."""
+    own = path[:2] if end == 0 else path[-2:]
+    for other in paths:
+        for a, b in zip(other[:-1], other[1:]):
+            if other is path and (np.array_equal(a, own[0]) or np.array_equal(b, own[1])):
+                continue
+            length = np.linalg.norm(b - a)
+            along, off = (path[end] - a) @ (b - a) / length, orient(a, b, path[end]) / length
+            if 0 < abs(off) <= SNAP / 10 * h and -2 * h < along < length + 2 * h:
+                path[end] = a + along * (b - a) / length
+
+
+def _simplified(path, points, node_h):
+    """The path without vertices that lie on it anyway, to a tenth of the snapping: dense points make no kinks."""
+    h = min(node_h[np.argmin(np.sum((points - x) ** 2, axis=1))] for x in path)
+    return shapely.get_coordinates(shapely.simplify(shapely.LineString(path), SNAP / 10 * h))
 
 
 def _snap_vertex(x, points, node_h, edges, edge_h):
     to_node = np.linalg.norm(points - x, axis=1)
     near = np.argmin(to_node / node_h)
-    if to_node[near] <= SNAP * node_h[near]:
+    # Farther than a line is bent to a node, so that no node is left on the line just before a tip.
+    if to_node[near] <= 2 * SNAP * node_h[near]:
         return points[near].copy()
     a, b = points[edges[:, 0]], points[edges[:, 1]]
     t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)

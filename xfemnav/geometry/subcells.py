@@ -98,7 +98,7 @@ def embed(mesh: Mesh, cuts: tuple[Cut, ...]) -> Subcells:
     """
     node_h = node_sizes(mesh)
     paths = snap(mesh, node_h, [cut.path for cut in cuts])
-    loops = [np.allclose(path[0], path[-1]) for path in paths]
+    loops = [np.array_equal(path[0], path[-1]) for path in paths]
     segments = Segments(paths)
     ends = [] if not paths else find_tips(mesh, node_h, paths, loops)
     polygons = split_cells(mesh, segments, [path[end] for _, path, end in ends])

@@ -203,6 +203,8 @@ def _at_tip(mesh, subcells, dof, near, middle, tip):
     for i, row in sorted(pieces.items()):
         parts, local = np.nonzero(dof == row)
         parts, local = _reached(parts, local, angle)
+        if not len(parts):
+            continue
         shift = _shift(mesh, subcells, middle, angle, tip, i, parts)
         yield i, shift, parts, local, angle[parts], np.ones((len(parts), 3))
 

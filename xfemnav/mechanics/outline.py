@@ -72,8 +72,9 @@ def skull_conditions(
         make = _vector_conditions if skull.kind == "fixed" else _sliding_conditions
         parts.append(make(space, rim, held, np.zeros((held.sum(), 2))))
     springs = csr_array((n_dof, n_dof))
-    if skull.kind != "free" and len(mouths) and measured is None:
-        springs = _springs(space, skull, mouths, material)
+    if skull.kind != "free" and len(mouths):
+        b = len(space.subcells.rim_ends)
+        springs = _springs(space, skull, mouths, material, ~(known[:b] & known[b : 2 * b]))
     return stack(parts, n_dof), springs
 
 
@@ -141,18 +142,20 @@ def _rigid_from(skull, lengths):
     return skull.craniotomy_mm + skull.ramp_mm + (0.5 * lengths if skull.ramp_mm == 0 else np.zeros(len(lengths)))
 
 
-def _springs(space, skull, mouths, material):
+def _springs(space, skull, mouths, material, unknown):
     """Integral of k u.u (fixed) or k (n.u)^2 (sliding): the ramp, and the held part of facets that begin free.
 
     On the ramp k = (E / 2 mm) x / (1 - x). Conditions hold nodes, so the grip would begin with the next rigid node:
     where it should be complete but a facet's end is not rigid, it gets the penalty 1.5 M / h, M the P-wave modulus.
+    Only facets that are `unknown` (b,): the others move as measured.
     """
     sub = space.subcells
     a, b = sub.rim_ends.swapaxes(0, 1)
     length = np.linalg.norm(b - a, axis=1)
     full = skull.craniotomy_mm + skull.ramp_mm
     ends = np.stack([_distance(a, mouths), _distance(b, mouths)])
-    near = np.flatnonzero((ends.min(axis=0) < _rigid_from(skull, length)) & (ends.max(axis=0) > skull.craniotomy_mm))
+    on_the_ramp = (ends.min(axis=0) < _rigid_from(skull, length)) & (ends.max(axis=0) > skull.craniotomy_mm)
+    near = np.flatnonzero(on_the_ramp & unknown)
     t, w = _composite_gauss(8, 4)
     points = (a[near, None] + t[None, :, None] * (b - a)[near, None]).reshape(-1, 2)
     weights = np.outer(length[near], w).ravel()

@@ -256,6 +256,9 @@ def _is_floating(space, constraints, springs):
     held = table.kind < BRANCH
     x = mesh.points[table.node] - mesh.points.mean(axis=0)
     x /= np.abs(x).max()
+    # A row's length is its unit's and its element's business; whether it is met is not.
+    length = np.sqrt(np.asarray(constraints.C.multiply(constraints.C).sum(axis=1)).ravel())
+    rows = constraints.C.multiply(1 / np.maximum(length, 1e-300)[:, None]).tocsr()
     floating = []
     for body in range(table.body.max() + 1):
         own = (held & (row_body == body)).astype(float)
@@ -264,7 +267,7 @@ def _is_floating(space, constraints, springs):
         motions = np.zeros((table.n_dof, 3))
         motions[0::2, 0], motions[1::2, 1] = own, own
         motions[0::2, 2], motions[1::2, 2] = -own * centred[:, 1] / radius, own * centred[:, 0] / radius
-        met = constraints.C @ motions
+        met = rows @ motions
         scale = max(np.abs(springs.data).max(initial=0.0), 1e-300)
         work = met.T @ met + motions.T @ (springs @ motions) / scale
         floating.append(np.linalg.eigvalsh(work)[0] < 1e-8)

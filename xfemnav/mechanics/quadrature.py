@@ -4,10 +4,13 @@ from functools import cache
 
 import numpy as np
 
+from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import orient
 
 #: A triangle is subdivided until it is no larger than this times its distance to the nearest tip.
 NEAR = 1.0
+NEEDLE = 0.3  # a triangle with less area than this, times half its longest edge squared, is a needle
+DEEPEST, MOST = 200, 100_000  # most times that triangles are divided, and most triangles left to divide
 ANGLE = np.pi / 3  # largest angle of a triangle at a tip; wider ones are bisected
 LOPSIDED = 4.0  # largest ratio of its two edges at the tip; beyond, the radius varies too fast along the far edge
 
@@ -63,7 +66,9 @@ def tip_rule(corners, tips, fine: bool = False) -> tuple[np.ndarray, np.ndarray,
         weights.append(w.ravel())
         owners.append(np.repeat(owner[chosen], w.shape[1]))
 
-    while len(corners):
+    for _ in range(DEEPEST):
+        if not len(corners):
+            break
         edge = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2)
         diameter = edge.max(axis=1)
         at_tip = np.linalg.norm(corners[:, :, None] - tips, axis=3).min(axis=2) <= 1e-9 * diameter[:, None]
@@ -84,6 +89,15 @@ def tip_rule(corners, tips, fine: bool = False) -> tuple[np.ndarray, np.ndarray,
             done |= smooth
         corners, owner, n_tips = corners[~done], owner[~done], n_tips[~done]
         corners, owner = _split(corners, owner, n_tips)
+        if len(corners) > MOST:
+            break
+    if len(corners):
+        where = corners[0].mean(axis=0)
+        raise XfemnavError(
+            "E407",
+            f"integration about the tip near ({where[0]:.3f}, {where[1]:.3f}) mm did not end; move the tip a little, "
+            "and please report this with the cut's points.",
+        )
     return np.concatenate(points), np.concatenate(weights), np.concatenate(owners)
 
 
@@ -97,7 +111,7 @@ def _distance(corners, tips):
 
 
 def _split(corners, owner, n_tips):
-    """Bisect triangles with a tip (opposite the wide angle, or between two tips); quarter the others."""
+    """Bisect triangles with a tip (opposite the wide angle, or between two tips); halve needles, quarter the others."""
     a, b, c = corners[n_tips > 0].swapaxes(0, 1)
     two = n_tips[n_tips > 0] > 1
     # With several tips the longest edge is halved, else the edge opposite the tip at the angle's bisector.
@@ -109,10 +123,18 @@ def _split(corners, owner, n_tips):
         one.append(np.stack([a, (a + b) / 2, c], 1))
         other.append(np.stack([(a + b) / 2, b, c], 1))
     order = np.concatenate([owner[n_tips > 0][~two], owner[n_tips > 0][two]])
-    a, b, c = corners[n_tips == 0].swapaxes(0, 1)
+    # A quarter of a needle is a needle; halves of its length lie ever farther from the tip.
+    away = _longest_first(corners[n_tips == 0])
+    a, b, c = away.swapaxes(0, 1)
+    needle = orient(a, b, c) < NEEDLE * np.einsum("ki,ki->k", b - a, b - a)
+    own = owner[n_tips == 0]
+    a, b, c = away[needle].swapaxes(0, 1)
+    halves = [np.stack([a, (a + b) / 2, c], 1), np.stack([(a + b) / 2, b, c], 1)]
+    a, b, c = away[~needle].swapaxes(0, 1)
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     quarters = [np.stack(x, 1) for x in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    return np.concatenate([*one, *other, *quarters]), np.concatenate([order, order, np.tile(owner[n_tips == 0], 4)])
+    owners = [order, order, own[needle], own[needle], np.tile(own[~needle], 4)]
+    return np.concatenate([*one, *other, *halves, *quarters]), np.concatenate(owners)
 
 
 def _longest_first(corners):
