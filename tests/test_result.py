@@ -109,6 +109,13 @@ def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
         (toy / "geometry" / "helper.py").write_text(kernel.format("", "helper", value))
         got = subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True)
         assert got.stdout.strip() == str(value)
+    old, forgotten = tmp_path / f"{kernels.NAME}old", tmp_path / f"{kernels.NAME}forgotten"
+    for folder in (old, forgotten):
+        folder.mkdir()
+    os.utime(forgotten, (0, 0))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    kernels.settle_kernel_cache()
+    assert old.exists() and not forgotten.exists()
     folders = list((toy / "geometry" / "__pycache__").glob(f"{kernels.NAME}*"))
     assert len(folders) == 2 and all(list(folder.rglob("*caller*.nbc")) for folder in folders)
     assert {path.parent.name for path in keys.PACKAGE.rglob("*.py") if "import njit" in path.read_text()} == set(

@@ -10,6 +10,8 @@ import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from xfemnav.pipeline.keys import PACKAGE, source_digest
@@ -32,8 +34,7 @@ def settle_kernel_cache() -> str | None:
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given and Path(given).name == name:
         return None
-    places = [Path(given)] if given else [PACKAGE / "geometry" / "__pycache__", Path.home() / ".cache" / "xfemnav"]
-    base = next(filter(_writable, places), None)
+    base = next(filter(_writable, [Path(given)] if given else _places()), None)
     passing = base is None
     if passing:
         base = Path(tempfile.mkdtemp(prefix="xfemnav-"))
@@ -42,9 +43,15 @@ def settle_kernel_cache() -> str | None:
     if "numba" in sys.modules:
         sys.modules["numba"].config.reload_config()
     for other in base.glob(f"{NAME}*"):
-        if other.name != name and time.time() - other.stat().st_mtime > FORGET_S:
-            shutil.rmtree(other, ignore_errors=True)
+        with suppress(FileNotFoundError):  # another process removes it too
+            if other.name != name and time.time() - other.stat().st_mtime > FORGET_S:
+                shutil.rmtree(other, ignore_errors=True)
     return PASSING if passing else None
+
+
+def _places() -> Iterator[Path]:
+    yield PACKAGE / "geometry" / "__pycache__"
+    yield Path.home() / ".cache" / "xfemnav"
 
 
 def _writable(folder: Path) -> bool:
