@@ -344,3 +344,10 @@ def test_itk_resamples_with_the_transform_as_the_run_did(run, home):
     tissue = binary_erosion((values["updated"] > 0) & (values["cavity"] == 0), iterations=3)
     assert tissue.sum() > 800
     np.testing.assert_allclose(resampled[tissue], values["updated"][tissue], rtol=1e-5)
+
+
+def test_lips_that_pass_through_each_other_are_not_trusted(run):
+    """One lip pushed 6 mm into the other, which nobody holds: written, but exit 3."""
+    record, _ = run("--left", "0,-6", base=(*QUICK, "--cut", CUT), output="passed", code=3)
+    assert record["status"] == "untrusted" and record["error"]["code"] == "E401"
+    assert record["checks"]["overlap_mm2"] > 50 and "W403" in [item["code"] for item in record["warnings"]]

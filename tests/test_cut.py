@@ -170,3 +170,11 @@ def test_placing_commutes_with_quarter_turns_and_mirrors(path, quarter, mirror):
         assert isinstance(one, str) and one == other
     else:
         assert_allclose(other, one @ Q.T, atol=1e-9)  # intersections of nearly parallel lines amplify rounding
+
+
+@pytest.mark.parametrize("internal", [False, True])
+def test_a_cut_drawn_from_its_tip_is_told_so(internal):
+    """Left and right would be exchanged, and an internal cut would lose its mouth."""
+    square = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 40.0], [0.0, 40.0]])
+    with pytest.raises(XfemnavError, match=r"E302 .*from its tip .* other order"):
+        place_cut([[20.0, 20.0], [20.0, 50.0]], square, internal=internal)

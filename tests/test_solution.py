@@ -238,3 +238,19 @@ def test_convergence_to_williams_field(tip_enrichment, low, high):
     rate = np.log(errors[0] / errors[-1]) / np.log(sizes[0] / sizes[-1])
     print(f"{tip_enrichment}: errors {np.round(errors, 4)}, rate {rate:.2f}")
     assert low < rate < high
+
+
+@pytest.mark.parametrize("lips", ["mortar", "pointwise"])
+def test_mean_pressure_is_the_normal_traction_also_round_a_corner(lips):
+    """Opened along its normals, a lip's work on that displacement is pressure times length times opening, by energy:
+    2 x energy = (p_left + p_right) L a."""
+    mesh = disc(h=4.0)
+    cut = cut_in(mesh, (3, 80), (1.7, 50.3), (20.2, 32.1))
+    opening = 1.5
+    blades = tuple(Retraction(0, side, normal_mm=opening, blade=(0, 0.7)) for side in (1, -1))
+    problem = pose(mesh, (cut,), BRAIN, Skull("fixed", 15.0, 0.0), blades, lip_constraint=lips)
+    solution = solve(problem)
+    length = problem.spans[0, 1] - problem.spans[0, 0]
+    work = sum(force.mean_pressure_kPa for force in solution.retractor) * length * opening
+    springs = solution.U.ravel() @ (problem.springs @ solution.U.ravel())
+    assert work == pytest.approx(2 * solution.energy + springs, rel=1e-6)

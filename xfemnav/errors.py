@@ -89,7 +89,7 @@ FAULTS: dict[str, Fault] = {
                   "Choose the slice that holds the cut."),
     # 4xx: mechanics
     "E401": Fault(3, "retraction folds the tissue",
-                  "More than 1 mm² of tissue is turned inside out, so linear elasticity no longer describes it.",
+                  "More than 1 mm² of tissue is turned inside out, or lies twice, so linear elasticity no longer describes it.",
                   "Use a smaller displacement; the message names the largest one that does not fold."),
     "E402": Fault(65, "blade is not on the cut", "The blade's fractions are outside 0..1 or leave nothing to hold.",
                   "Give `--blade FROM,TO` with 0 <= FROM < TO < 1."),

@@ -40,6 +40,7 @@ def plate_problem(
         removed=np.zeros(space.subcells.n_parts, dtype=bool),
         tip_enrichment=tip_enrichment,
         lip_constraint="mortar",
+        hold_tip=False,
     )
 
 

@@ -94,6 +94,13 @@ def place_cut(path, boundary, name: str = "cut", *, internal: bool = False, cran
     depth = organ.exterior.distance(shapely.Point(clipped[0]))
     if depth <= 1e-9:
         return Cut(clipped, name, mouth=True, craniotomy=craniotomy)
+    ends_outside = organ.exterior.distance(shapely.Point(clipped[-1])) <= 1e-9
+    if ends_outside and (internal or depth > PROLONG_MM):
+        raise XfemnavError(
+            "E302",
+            f"cut '{name}' is drawn from its tip {_mm(clipped[0])} to its mouth; give its points in the other order, "
+            "from the surface inwards.",
+        )
     if internal:
         return Cut(clipped, name, mouth=False, craniotomy=False)
     if depth > PROLONG_MM:

@@ -103,7 +103,8 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
     if not len(arcs):
         raise XfemnavError("E402", f"cut '{cuts[k].name}' crosses no element, so no blade can hold it.")
     end = arcs.max()
-    start, stop = (np.asarray(retraction.blade if retraction.blade is not None else (0.0, 1.0)) * end).tolist()
+    asked = (np.asarray(retraction.blade if retraction.blade is not None else (0.0, 1.0)) * end).tolist()
+    start, stop = asked
     for tip_end, is_last in ((-1, True), (0, False)):
         if not ((sub.tip_cut == k) & (sub.tip_end == tip_end)).any():
             continue
@@ -111,19 +112,18 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
         facet = facet[np.argmax(sub.lip_arc[facet, 1])] if is_last else facet[np.argmin(sub.lip_arc[facet, 0])]
         margin = 2 * float(space.mesh.sizes[sub.part_cell[sub.lip_parts[facet]]].max())
         limit = end - margin if is_last else margin
-        beyond = stop > limit + 1e-9 if is_last else start < limit - 1e-9
-        if beyond and retraction.blade is not None:
-            warn(
-                "W404",
-                f"the blade on cut '{cuts[k].name}' ended less than two elements ({margin:.1f} mm) from a tip and was "
-                f"shortened to {limit / end:.2f} of the cut.",
-            )
         start, stop = (start, min(stop, limit)) if is_last else (max(start, limit), stop)
     if stop - start <= 1e-9:
         raise XfemnavError(
             "E402",
             f"nothing of cut '{cuts[k].name}' ({end:.1f} mm) is left for the blade to hold; use a longer cut "
             "or smaller elements (--corridor-element-mm).",
+        )
+    if retraction.blade is not None and max(start - asked[0], asked[1] - stop) > 1e-9:
+        warn(
+            "W404",
+            f"the blade on cut '{cuts[k].name}' came within two elements ({margin:.1f} mm) of a tip and was shortened: "
+            f"it holds {start / end:.2f} to {stop / end:.2f} of the cut.",
         )
     return start, stop
 
@@ -188,6 +188,15 @@ def pointwise_rows(space: Space, retraction: Retraction, span, group: int, hold_
     segment = np.clip(np.searchsorted(ends, arc[held], side="right") - 1, 0, len(path) - 2)
     given = retraction.displacement(left_normals(path)[segment])
     return vector_rows(space.basis_in(points[held], parts[held]), given, group)
+
+
+def lip_rows(
+    space: Space, retraction: Retraction, span, group: int, lip_constraint: str, hold_tip: bool
+) -> Constraints:
+    """The conditions of a held lip, 'mortar' or 'pointwise'."""
+    if lip_constraint == "mortar":
+        return mortar_rows(space, retraction, span, group)
+    return pointwise_rows(space, retraction, span, group, hold_tip)
 
 
 def lip_load(space: Space, retraction: Retraction, span) -> np.ndarray:

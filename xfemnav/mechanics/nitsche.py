@@ -13,7 +13,7 @@ from scipy.sparse import csr_array, vstack
 
 from xfemnav.mechanics.constraints import SKULL, vector_rows
 from xfemnav.mechanics.elasticity import Material, strain_matrices
-from xfemnav.mechanics.lips import Retraction, lip_quadrature
+from xfemnav.mechanics.lips import LipQuadrature, Retraction, lip_quadrature
 from xfemnav.mechanics.space import Space
 
 GAMMA = 2.0
@@ -29,12 +29,14 @@ def nitsche_terms(space: Space, material: Material, retraction: Retraction, span
     return K, B.T @ (beta * w * given) - t.T @ (w * given)
 
 
-def nitsche_force(space: Space, material: Material, retraction: Retraction, span, U) -> np.ndarray:
-    """Force (2,) mN per mm of thickness that the retractor puts on the lip: integral of t(u) - beta (u - given)."""
-    B, t, beta, weights, given = _lip_operators(space, material, retraction, span)
+def nitsche_traction(
+    space: Space, material: Material, retraction: Retraction, span, U
+) -> tuple[LipQuadrature, np.ndarray]:
+    """Gauss points of the lip and the traction (q, 2) kPa of the retractor there: t(u) - beta (u - given)."""
+    B, t, beta, _, given = _lip_operators(space, material, retraction, span)
     u = np.asarray(U).ravel()
     traction = t @ u - beta * (B @ u - given)
-    return (np.repeat(weights, 2) * traction).reshape(-1, 2).sum(axis=0)
+    return lip_quadrature(space, retraction.cut, retraction.side, span), traction.reshape(-1, 2)
 
 
 def _lip_operators(space, material, retraction, span):

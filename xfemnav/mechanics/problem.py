@@ -12,7 +12,7 @@ from xfemnav.geometry.subcells import Subcells, embed
 from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
-from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, mortar_rows, pointwise_rows
+from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
 from xfemnav.mechanics.nitsche import nitsche_terms
 from xfemnav.mechanics.outline import Skull, skull_conditions
 from xfemnav.mechanics.space import Space
@@ -43,6 +43,7 @@ class Problem:
     removed: np.ndarray
     tip_enrichment: str
     lip_constraint: str
+    hold_tip: bool
 
     def __post_init__(self):
         object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
@@ -125,10 +126,8 @@ def pose(
         elif lip_constraint == "nitsche":
             terms, forces = nitsche_terms(space, material, retraction, span)
             springs, load = csr_array(springs + terms), load + forces
-        elif lip_constraint == "mortar":
-            conditions.append(mortar_rows(space, retraction, span, group))
         else:
-            conditions.append(pointwise_rows(space, retraction, span, group, hold_tip))
+            conditions.append(lip_rows(space, retraction, span, group, lip_constraint, hold_tip))
     constraints = stack(conditions, n_dof)
     removed, crumbs = _loose(space, constraints, springs)
     return Problem(
@@ -144,6 +143,7 @@ def pose(
         removed,
         tip_enrichment,
         lip_constraint,
+        hold_tip,
     )
 
 

@@ -14,8 +14,8 @@ from xfemnav.mechanics.elasticity import stiffness
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.fan import graded_triangles
 from xfemnav.mechanics.fracture import FreeTip, free_tips
-from xfemnav.mechanics.lips import lip_quadrature
-from xfemnav.mechanics.nitsche import nitsche_force
+from xfemnav.mechanics.lips import lip_quadrature, lip_rows
+from xfemnav.mechanics.nitsche import nitsche_traction
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
 
@@ -186,23 +186,31 @@ def _moved_outline(problem, U):
 
 
 def _forces(problem, reaction, U):
-    """What each retractor does to its lip."""
-    forces = []
+    """What each retractor does to its lip.
+
+    The work of its forces on a unit displacement away from the other lip is the integral of the normal pressure.
+    """
+    forces, space = [], problem.space
     lambdas = multipliers(problem.constraints, reaction) if (problem.constraints.group >= 0).any() else None
     # A condition's weights on the partition of unity give the length of lip that its multiplier acts on.
     weights = problem.constraints.C @ np.repeat(problem.enrichment.kind < BRANCH, 2)
     for group, (retraction, span) in enumerate(zip(problem.retractions, problem.spans)):
         span = (span[0], min(span[1], problem.cuts[retraction.cut].length))
+        q = lip_quadrature(space, retraction.cut, retraction.side, span)
+        away = retraction.side * q.normals
         if not retraction.holds:
             total = np.asarray(retraction.force_mN_per_mm)
+            normal = (q.weights * (away @ total)).sum() / (span[1] - span[0])
         elif problem.lip_constraint == "nitsche":
-            total = nitsche_force(problem.space, problem.material, retraction, span, U)
+            at, traction = nitsche_traction(space, problem.material, retraction, span, U)
+            total = at.weights @ traction
+            normal = at.weights @ (retraction.side * at.normals * traction).sum(axis=1)
         else:
             rows = problem.constraints.group == group
+            unit = replace(retraction, displacement_mm=None, normal_mm=1.0)
             total = (lambdas[rows] * weights[rows]).reshape(-1, 2).sum(axis=0)
-        q = lip_quadrature(problem.space, retraction.cut, retraction.side, span)
-        normal = (q.normals * q.weights[:, None]).sum(axis=0) / q.weights.sum()
-        pressure = float(retraction.side * (total @ normal) / (span[1] - span[0]))
+            normal = lambdas[rows] @ lip_rows(space, unit, span, group, problem.lip_constraint, problem.hold_tip).d
+        pressure = float(normal / (span[1] - span[0]))
         forces.append(RetractorForce(retraction.cut, retraction.side, tuple(total.tolist()), pressure))
     return tuple(forces)
 

@@ -1,5 +1,6 @@
 """One run, from a checked configuration to run.json."""
 
+import math
 import os
 import tempfile
 from collections.abc import Callable, Iterator
@@ -102,6 +103,11 @@ def plan(config: Config, options: Options) -> list[tuple[str, str, str | None]]:
         return chain.plan(options.until)
 
 
+def overlap_limit(record) -> float:
+    """Area mm^2 of pixels with two pieces of tissue that is no more than their coarseness: two pixels, or 2 mm^2."""
+    return 2 * max(1.0, math.prod(record["slice"]["spacing"]))
+
+
 def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> dict:
     chain.read_inputs()
     done = chain.run(options.until)
@@ -115,6 +121,11 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
         text = (f"the retraction folds the tissue: {checks['inverted_mm2']:.2f} mm2 are inverted, over "
                 f"{INVERTED_LIMIT_MM2:g} mm2. The largest safe opening is {safe:.3f} of this one. "
                 "The results are written, and marked untrusted (exit 3).")
+        record |= {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
+    elif checks.get("overlap_mm2", 0) > overlap_limit(record):
+        text = (f"{checks['overlap_mm2']:.1f} mm2 of tissue lie twice: lips have moved through each other. Swap left "
+                "and right if they are swapped, or hold both lips. The results are written, and marked untrusted "
+                "(exit 3).")
         record |= {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
     files = {role: (path, item.entry.files[f"public/{path.name}"])
              for item in done.values() for role, path in item.public().items()}
