@@ -76,7 +76,7 @@ def test_json_is_alone_on_stdout_and_quiet_says_nothing(head, capfd):
     assert code == 0 and json.loads(stdout)["status"] == "complete" and "segment" in stderr
     assert xfemnav(capfd, *command(head, "-q"))[1:] == ("", "")
     code, stdout, stderr = xfemnav(capfd, *command(head, "--json", "--poisson", "0.5"))
-    assert code == 78 and json.loads(stdout)["error"]["code"] == "E780" and stderr.splitlines()[-1].startswith("E780 ")
+    assert code == 65 and json.loads(stdout)["error"]["code"] == "E404" and stderr.splitlines()[-1].startswith("E404 ")
 
 
 def test_usage_errors_are_exit_2(head, capfd):

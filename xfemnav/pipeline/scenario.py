@@ -20,6 +20,13 @@ LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
 # Dotted keys deeper than that; the parser's time grows with the square of their length.
 LONG_KEY = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){32}""")
 
+# Problems that the mechanics has a code for, by their words.
+OWN_CODES = {
+    "E404": re.compile(r"^tissue\.\w+.*: input should be (greater|less) than"),
+    "E303": re.compile(r"points must be at least two different ones"),
+    "E402": re.compile(r"blade \(--blade\) must be FROM,TO"),
+}
+
 Vector = Annotated[tuple[float, float], Strict(False)]
 Point = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=3)]
 Path_ = Annotated[str, Field(min_length=1, max_length=4096)]
@@ -203,11 +210,14 @@ def read_toml(path: Path) -> dict:
 def validated(raw: dict, flags: dict[str, str], known: tuple[str, ...] = ()) -> Scenario:
     """The scenario of a raw dict. Raises E780 with every problem, those already `known` first.
 
+    Where values are of the right form and only the mechanics refuses them, the code is its own: E303, E402, E404.
     `flags` maps places in the scenario to the flags that set them.
     """
     found = [*known, *problems(raw, flags)]
     if found:
-        raise XfemnavError("E780", "; ".join(found) + ". See `xfemnav schema` for every key.")
+        codes = [next((code for code, words in OWN_CODES.items() if words.search(text)), "E780") for text in found]
+        code = "E780" if "E780" in codes else codes[0]
+        raise XfemnavError(code, "; ".join(found) + ". See `xfemnav schema` for every key.")
     return Scenario.model_validate(raw)
 
 
