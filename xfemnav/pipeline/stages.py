@@ -189,7 +189,7 @@ def constrain_facts(value, inputs):
     enrichment = value.enrichment
     return {
         "enrichment": {"heaviside_nodes": len(enrichment.heaviside_nodes), "tip_nodes": len(enrichment.tip_nodes),
-                       "n_dof": int(enrichment.n_dof)},
+                       "n_dof": int(enrichment.n_dof), "added_dof": int(enrichment.n_dof - 2 * len(value.mesh.points))},
         "cuts": [{"name": cut.name, "path": cut.path.tolist(), "length_mm": cut.length} for cut in value.cuts],
     }
 
@@ -222,6 +222,7 @@ def solve_facts(value, inputs):
         "tips": [{"cut": names[tip.cut], "point_mm": list(tip.point_mm), "K_I_Pa_sqrt_m": tip.K_I_Pa_sqrt_m,
                   "K_II_Pa_sqrt_m": tip.K_II_Pa_sqrt_m, "radius_mm": tip.radius_mm} for tip in value.tips],
         "energy_uJ_per_mm": value.energy,
+        "matrix": {"nnz": value.nnz, "added_nnz": value.added_nnz, "memory_kB": value.matrix_kB},
         "safe_fraction": safe_fraction(value.rest, value.moved) if value.inverted_mm2 > INVERTED_LIMIT_MM2 else 1.0,
         "checks": {
             "residual": value.residual,
@@ -335,9 +336,10 @@ STAGES: dict[str, Stage] = {stage.name: stage for stage in (
     Stage("mesh", ("imaging",), ALL, ("segment",), ("mesh_file",), mesh, mesh_facts, mesh_publish,
           lambda f: f"{f['mesh']['n_nodes']} nodes, quality {f['mesh']['min_quality']:.2f}"),
     Stage("constrain", ("imaging", "mechanics"), IMAGING, ("segment", "mesh"), (),
-          constrain, constrain_facts, publish_nothing, lambda f: f"{f['enrichment']['n_dof']} unknowns"),
+          constrain, constrain_facts, publish_nothing, lambda f: "{n_dof} unknowns, {added_dof} for the cut".format(**f["enrichment"])),
     Stage("solve", ("imaging", "mechanics"), ALL, ("segment", "constrain"), (), solve, solve_facts, solve_publish,
-          lambda f: f"moves up to {f['checks']['max_displacement_mm']:.2f} mm"),
+          lambda f: "moves up to {max_displacement_mm:.2f} mm; {nnz} entries, {added_nnz} for the cut, {memory_kB:.0f} kB"
+          .format(**f["checks"], **f["matrix"])),
     Stage("warp", ("imaging",), IMAGING, ("segment", "mesh", "solve"), (), warp, warp_facts, warp_publish,
           lambda f: f"cavity {f['checks']['cavity_mm2']:.0f} mm2"),
 )}
