@@ -336,10 +336,11 @@ STAGES: dict[str, Stage] = {stage.name: stage for stage in (
     Stage("mesh", ("imaging",), ALL, ("segment",), ("mesh_file",), mesh, mesh_facts, mesh_publish,
           lambda f: f"{f['mesh']['n_nodes']} nodes, quality {f['mesh']['min_quality']:.2f}"),
     Stage("constrain", ("imaging", "mechanics"), IMAGING, ("segment", "mesh"), (),
-          constrain, constrain_facts, publish_nothing, lambda f: "{n_dof} unknowns, {added_dof} for the cut".format(**f["enrichment"])),
+          constrain, constrain_facts, publish_nothing,
+          lambda f: "{n_dof} unknowns, {added_dof} for the cut".format(**f["enrichment"])),
     Stage("solve", ("imaging", "mechanics"), ALL, ("segment", "constrain"), (), solve, solve_facts, solve_publish,
-          lambda f: "moves up to {max_displacement_mm:.2f} mm; {nnz} entries, {added_nnz} for the cut, {memory_kB:.0f} kB"
-          .format(**f["checks"], **f["matrix"])),
+          lambda f: "moves up to {max_displacement_mm:.2f} mm; {nnz} matrix entries, {added_nnz} for the cut, "
+                    "{memory_kB:.0f} kB".format(**f["checks"], **f["matrix"])),
     Stage("warp", ("imaging",), IMAGING, ("segment", "mesh", "solve"), (), warp, warp_facts, warp_publish,
           lambda f: f"cavity {f['checks']['cavity_mm2']:.0f} mm2"),
 )}
