@@ -11,6 +11,7 @@ SEVER = 1e-5  # a contact shorter than this joins nothing
 
 
 def node_sizes(mesh):
+    """Mean element size (n,) mm about each node: what snapping is measured in."""
     total = np.bincount(mesh.cells.ravel(), np.repeat(mesh.sizes, 3), len(mesh.points))
     return total / np.maximum(np.bincount(mesh.cells.ravel(), minlength=len(mesh.points)), 1)
 

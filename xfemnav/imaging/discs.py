@@ -12,10 +12,12 @@ def depth(mask: np.ndarray) -> np.ndarray:
 
 
 def erode(mask: np.ndarray, radius: float) -> np.ndarray:
+    """Pixels (n1, n2) bool of `mask` farther than `radius` pixels from its outside."""
     return depth(mask) > radius
 
 
 def dilate(mask: np.ndarray, radius: float) -> np.ndarray:
+    """`mask` (n1, n2) bool with all pixels within `radius` pixels of it."""
     return ndimage.distance_transform_edt(~mask) <= radius if mask.any() else mask
 
 
