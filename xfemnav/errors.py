@@ -141,8 +141,8 @@ FAULTS: dict[str, Fault] = {
     "W403": Fault(0, "tissue lies twice", "A lip that nobody holds has moved through the other, or tissue has folded over itself.",
                   "Hold both lips, or use a smaller displacement."),
     "W404": Fault(0, "blade shortened", "The blade's end was closer than two elements to the tip.", "Use a smaller TO in `--blade`."),
-    "W405": Fault(0, "nearly incompressible tissue", "Above Poisson's ratio 0.47 linear triangles stiffen: energy or displacement is over 5 % off.",
-                  "Use 0.45 to 0.47, or smaller elements, and report the ratio."),
+    "W405": Fault(0, "nearly incompressible tissue", "Above Poisson's ratio 0.48 linear triangles stiffen: energy or displacement is over 5 % off.",
+                  "Use 0.45 to 0.48, or smaller elements, and report the ratio."),
     "W601": Fault(0, "damaged cache entry recomputed", "A cached file did not match its checksum.", "Check the disk."),
     "W602": Fault(0, "cache is off", "The cache folder cannot be written.", "Give another folder with `-w`."),
 }
