@@ -50,6 +50,7 @@ def segment(params, inputs):
 
 
 def segment_facts(value, inputs):
+    """What run.json says of the stage."""
     slice, segmentation = value
     frame = {name: getattr(slice, name).tolist() for name in ("origin", "spacing", "axes")}
     frame |= {"shape": list(slice.values.shape), "plane": slice.plane, "index": slice.index,
@@ -59,6 +60,7 @@ def segment_facts(value, inputs):
 
 
 def segment_publish(value, inputs, folder):
+    """Write the stage's public files into `folder`."""
     from xfemnav.imaging.slices import to_nifti
     from xfemnav.pipeline.files import write_nifti
 
@@ -112,6 +114,7 @@ def _about_the_organ(mesh, inputs):
 
 
 def mesh_facts(value, inputs):
+    """What run.json says of the stage."""
     return {"mesh": {
         "n_nodes": len(value.points), "n_cells": len(value.cells),
         "min_quality": float(value.quality.min()), "mean_quality": float(value.quality.mean()),
@@ -138,6 +141,7 @@ def _hausdorff(mesh, inputs) -> float:
 
 
 def mesh_publish(value, inputs, folder):
+    """Write the stage's public files into `folder`."""
     from xfemnav.pipeline.files import write_vtu
 
     slice, _ = inputs.value("segment")
@@ -186,6 +190,7 @@ def _measured(slice, params):
 
 
 def constrain_facts(value, inputs):
+    """What run.json says of the stage."""
     enrichment = value.enrichment
     return {
         "enrichment": {"heaviside_nodes": len(enrichment.heaviside_nodes), "tip_nodes": len(enrichment.tip_nodes),
@@ -214,6 +219,7 @@ def solve(params, inputs):
 
 
 def solve_facts(value, inputs):
+    """What run.json says of the stage."""
     names = [cut.name for cut in inputs.value("constrain").cuts]
     return {
         "retractor": [{"cut": names[force.cut], "side": "left" if force.side > 0 else "right",
@@ -256,6 +262,7 @@ def safe_fraction(rest, moved) -> float:
 
 
 def solve_publish(value, inputs, folder):
+    """Write the stage's public files into `folder`."""
     from xfemnav.pipeline.files import write_soup
 
     slice, _ = inputs.value("segment")
@@ -285,6 +292,7 @@ def warp(params, inputs):
 
 
 def warp_facts(value, inputs):
+    """What run.json says of the stage."""
     slice, _ = inputs.value("segment")
     pixel = float(slice.spacing.prod())
     return {"checks": {"cavity_mm2": float(value.cavity.sum()) * pixel,
@@ -293,6 +301,7 @@ def warp_facts(value, inputs):
 
 
 def warp_publish(value, inputs, folder):
+    """Write the stage's public files into `folder`."""
     import numpy as np
 
     from xfemnav.imaging.slices import to_nifti
@@ -315,10 +324,12 @@ def figure(params, inputs):
 
 
 def no_facts(value, inputs):
+    """What run.json says of the stage."""
     return {}
 
 
 def figure_publish(value, inputs, folder):
+    """Write the stage's public files into `folder`."""
     from xfemnav.pipeline.figure import draw_figure
 
     slice, segmentation = inputs.value("segment")
