@@ -21,7 +21,7 @@ MESHES = [jittered(12.0, 10.0, 1.0, j, seed=int(100 * j)) for j in (0.0, 0.25, 0
 SKULL = Skull("fixed", 2.0, 1.0)
 LIPS = ("mortar", "nitsche", "pointwise")
 #: A cut may be refused as it does not enter, touches the outline, frees a piece, or is too short to hold.
-LISTED = {"E301", "E305", "E306", "E402"}
+LISTED = {"E301", "E302", "E305", "E306", "E402"}
 WITHIN = 1.2  # the mark of the design: energy within 1.2 times the median of generic positions of the same cut
 
 
