@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
-from xfemnav.imaging.reading import file_digest, read_image
+from xfemnav.imaging.reading import file_digest, read_components, read_image
 from xfemnav.imaging.slices import take_slice, to_nifti
 
 AFFINE = np.array([[0.9, 0, 0, -40], [0, 1.1, 0, -50], [0, 0, 2.0, 7], [0, 0, 0, 1]])
@@ -116,6 +116,48 @@ def test_several_volumes_need_a_choice(tmp_path):
     assert code_of(path) == "E121"
     assert code_of(path, volume=6) == code_of(path, volume=-1) == "E121"
     np.testing.assert_array_equal(read_image(path, volume=4).values, volume((5, 4, 3, 6))[..., 4])
+
+
+# Several values a voxel -----------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("shape, n", [((5, 4, 3), 1), ((5, 4, 3, 7), 7), ((5, 4, 3, 1, 3), 3), ((5, 4, 3, 1, 6), 6)])
+@pytest.mark.parametrize("intent", [0, 1005, 1006, 1007])
+def test_components_are_all_values_of_a_voxel(tmp_path, shape, n, intent):
+    path = written(tmp_path, gzip.compress(nifti(volume(shape), intent_code=intent, scl_slope=0.5)), "image.nii.gz")
+    components = read_components(path)
+    np.testing.assert_array_equal(components.values, 0.5 * volume(shape).reshape(5, 4, 3, n))
+    np.testing.assert_allclose(components.affine, AFFINE, atol=1e-6)  # float32
+    assert (components.intent, components.dtype, components.name) == (intent, "int16", "image.nii.gz")
+    assert components.file_digest == file_digest(path) and not components.values.flags.writeable
+    for k in range(n):
+        np.testing.assert_array_equal(components.values[..., k], read_image(path, volume=k).values)
+
+
+def test_digest_of_components_is_of_the_content(tmp_path):
+    series = volume((5, 4, 3, 1, 3))
+    plain = read_components(written(tmp_path, nifti(series)))
+    assert plain.digest == read_components(written(tmp_path, gzip.compress(nifti(series)), "z.nii.gz")).digest
+    others = nifti(series, intent_code=1007), nifti(series[..., ::-1]), nifti(series, affine=AFFINE * 1.001)
+    for content in others:
+        assert read_components(written(tmp_path, content)).digest != plain.digest
+
+
+def test_components_pass_the_same_gate(tmp_path):
+    series = volume((5, 4, 3, 6), np.float32)
+    series[1, 2, 0, 4] = np.nan
+    path = written(tmp_path, nifti(series))
+    with pytest.raises(XfemnavError, match=r"E103 .* 1 NaN or infinite voxels, the first at index \(1, 2, 0, 4\)"):
+        read_components(path)
+    assert read_components(path, nan=-7).values[1, 2, 0, 4] == -7
+    faults = {"E101": nifti(series)[:-1], "E105": nifti(series, datatype=77), "E110": nifti(series, srow_x=0),
+              "E122": nifti(volume(dtype=np.complex64))}
+    for code, content in faults.items():
+        with pytest.raises(XfemnavError, match=code):
+            read_components(written(tmp_path, content))
+    large = written(tmp_path, nifti(volume((50, 50, 50, 4))))  # 1 MB stored, and 1 MB or 4 MB in float64
+    assert read_image(large, volume=0, max_memory_gb=2.5e-3).values.size == 50**3
+    with pytest.raises(XfemnavError, match="E102"):
+        read_components(large, max_memory_gb=2.5e-3)
 
 
 # Bad content ----------------------------------------------------------------------------------------------------------

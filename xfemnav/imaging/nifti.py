@@ -21,14 +21,15 @@ VOXEL_MM, ORIGIN_MM = (1e-3, 1e3), 1e6  # beyond these no position in a body kee
 
 
 class Header(NamedTuple):
-    """What a header says of its voxels: `shape` (3 axes or more), stored `dtype`, byte `offset` in the file, and
-    `slope` and `inter` of value = slope * stored + inter."""
+    """What a header says of its voxels: `shape` (3 axes or more), stored `dtype`, byte `offset` in the file,
+    `slope` and `inter` of value = slope * stored + inter, and NIfTI's code of what the values are (0: not said)."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
     offset: int
     slope: float
     inter: float
+    intent: int = 0
 
     @property
     def n_bytes(self) -> int:
@@ -68,7 +69,7 @@ def read_header(head: bytes, name: str) -> Header:
     """
     raw = _raw(head)
     slope, inter = float(raw["scl_slope"]), float(raw["scl_inter"])
-    return Header(_shape(raw, name), _dtype(raw, name), _offset(raw, name), slope, inter)
+    return Header(_shape(raw, name), _dtype(raw, name), _offset(raw, name), slope, inter, int(raw["intent_code"]))
 
 
 def read_frame(head: bytes, name: str) -> tuple[np.ndarray, int]:

@@ -1,4 +1,4 @@
-"""The input gate: a path -> a checked `Image`, or one coded error.
+"""The input gate: a path -> a checked `Image` (or `Components`), or one coded error.
 
 A file is opened once, as a regular file, and its bytes are read once: gunzipped to the end of the trailer (nibabel
 never reads the CRC), never further than the header allows, then decoded. The format is told by the content, not by
@@ -15,6 +15,7 @@ import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,10 +52,40 @@ class Image:
     @cached_property
     def digest(self) -> str:
         """sha256 over decoded voxels, affine and its code: one content, one digest, under any name or compression."""
-        content = hashlib.sha256(repr((*self.values.shape, self.frame_code)).encode())
-        content.update(self.affine.astype("<f8"))
-        content.update(self.values.astype("<f8", copy=False))
-        return content.hexdigest()
+        return _content_digest((*self.values.shape, self.frame_code), self.affine, self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Components:
+    """Several values a voxel: `values` (ni, nj, nk, nc) in storage order, `affine` (4, 4) voxel -> RAS mm.
+
+    Components are as stored, in the file's own frame and order; axes after the third run together, the fourth
+    fastest. `intent` is NIfTI's code of what they are (1005 symmetric matrix, 1006 displacement, 1007 vector;
+    0: not said). `dtype`, `file_digest` and `name` as of an `Image`.
+    """
+
+    values: np.ndarray
+    affine: np.ndarray
+    intent: int
+    dtype: str
+    file_digest: str
+    name: str
+
+    def __post_init__(self):
+        object.__setattr__(self, "values", frozen_array(self.values, float, (None, None, None, None), "values"))
+        object.__setattr__(self, "affine", frozen_array(self.affine, float, (4, 4), "affine"))
+
+    @cached_property
+    def digest(self) -> str:
+        """sha256 over decoded values, affine and intent: one content, one digest, under any name or compression."""
+        return _content_digest((*self.values.shape, self.intent), self.affine, self.values)
+
+
+def _content_digest(facts: tuple, affine: np.ndarray, values: np.ndarray) -> str:
+    content = hashlib.sha256(repr(facts).encode())
+    content.update(affine.astype("<f8"))
+    content.update(values.astype("<f8", copy=False))
+    return content.hexdigest()
 
 
 def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None) -> Image:
@@ -65,7 +96,37 @@ def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None) 
     Raises E100 (cannot be opened), E101 (damaged), E102 (too large), E103 (NaN), E105 (header), E106 (no image),
     E110 (affine), E121 (4-D), E122 (colour, complex); warns W104 (scaling), W107 (name), W112 (no position).
     """
-    name, limit = Path(path).name, int(max_memory_gb * 1e9)
+    stored = _stored(path, int(max_memory_gb * 1e9), spacing)
+    values = _scaled(_one_volume(stored.voxels, volume, stored.name), stored)
+    return Image(_finite(values, nan, stored.name), stored.affine, stored.header.dtype.name, stored.frame_code,
+                 stored.file_digest, stored.name)
+
+
+def read_components(path, *, nan=None, max_memory_gb=4.0) -> Components:
+    """Read all values a voxel of the image at `path`: vectors, tensors, or the volumes of a series.
+
+    `nan`: the value to put where one is NaN or infinite. Raises and warns as `read_image`, but never E121.
+    """
+    stored = _stored(path, int(max_memory_gb * 1e9), all_volumes=True)
+    values = _scaled(_volumes(stored.voxels), stored)
+    return Components(_finite(values, nan, stored.name), stored.affine, stored.header.intent,
+                      stored.header.dtype.name, stored.file_digest, stored.name)
+
+
+class _Stored(NamedTuple):
+    """What a file holds, checked: its `header`, `voxels` (ni, nj, nk, ...) unscaled, `affine` (4, 4) and its code."""
+
+    header: NamedTuple
+    voxels: np.ndarray
+    affine: np.ndarray
+    frame_code: int
+    file_digest: str
+    name: str
+
+
+def _stored(path, limit: int, spacing=None, all_volumes=False) -> _Stored:
+    """The file at `path`, decoded; all its volumes, or one of them, must fit into `limit` bytes in float64."""
+    name = Path(path).name
     packed = _file_bytes(path, limit)
     zipped = packed.startswith(GZIP_MAGIC)
     if zipped != name.lower().endswith(".gz"):
@@ -78,11 +139,10 @@ def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None) 
     if code == 0 and spacing is None:
         warn("W112", f"{name} states no position (its qform and sform codes are 0): pixel sizes alone give its frame. "
                      "Do not trust positions in mm; use --space voxel.")
-    _check_size(header, limit, name)
+    _check_size(header, limit, name, all_volumes)
     data = head + _read(stream, header.n_bytes + 1 - len(head), name)
     _check_length(len(data), header.n_bytes, name)
-    values = _scaled(_one_volume(form.voxels(header, data), volume, name), header, name)
-    return Image(_finite(values, nan, name), affine, header.dtype.name, code, hashlib.sha256(packed).hexdigest(), name)
+    return _Stored(header, form.voxels(header, data), affine, code, hashlib.sha256(packed).hexdigest(), name)
 
 
 def file_digest(path, *, max_memory_gb=4.0) -> str:
@@ -145,10 +205,11 @@ def _size(n_bytes: int) -> str:
     return f"{n_bytes / 1e3**power:.4g} {('bytes', 'kB', 'MB', 'GB', 'TB', 'PB')[power]}"
 
 
-def _check_size(header, limit: int, name: str) -> None:
+def _check_size(header, limit: int, name: str, all_volumes: bool) -> None:
     """E102 when the voxels that the header claims would pass the memory limit."""
     shape = "x".join(map(str, header.shape))
-    needed = header.n_bytes + 8 * math.prod(header.shape[:3])  # as stored, and one volume in float64
+    # As stored, and what is returned in float64.
+    needed = header.n_bytes + 8 * math.prod(header.shape if all_volumes else header.shape[:3])
     if needed > limit:
         raise XfemnavError("E102", f"header of {name} claims {shape} voxels, {_size(needed)} in memory; the limit is "
                                    f"{_size(limit)} and nothing was read. Raise --max-memory if the header is right.")
@@ -162,9 +223,14 @@ def _check_length(n_bytes: int, wanted: int, name: str) -> None:
                                    "dimensions are wrong. Convert it again from its source.")
 
 
+def _volumes(voxels: np.ndarray) -> np.ndarray:
+    """`voxels` with one axis (ni, nj, nk, n) after the third."""
+    return voxels.reshape(*voxels.shape[:3], -1, order="F")
+
+
 def _one_volume(voxels: np.ndarray, volume, name: str) -> np.ndarray:
     """The three-axis volume number `volume` of `voxels`; further axes of length 1 do not count."""
-    volumes = voxels.reshape(*voxels.shape[:3], -1, order="F")
+    volumes = _volumes(voxels)
     n_volumes = volumes.shape[3]
     if volume is None and n_volumes > 1:
         raise XfemnavError("E121", f"{name} holds {n_volumes} volumes; say which one: --volume 0 to {n_volumes - 1}.")
@@ -173,15 +239,16 @@ def _one_volume(voxels: np.ndarray, volume, name: str) -> np.ndarray:
     return volumes[..., volume or 0]
 
 
-def _scaled(stored: np.ndarray, header, name: str) -> np.ndarray:
-    """value = slope * stored + inter in float64 (NIfTI: slope 0 means unscaled)."""
+def _scaled(voxels: np.ndarray, stored: _Stored) -> np.ndarray:
+    """value = slope * voxel + inter in float64 (NIfTI: slope 0 means unscaled)."""
+    header, name = stored.header, stored.name
     if not (math.isfinite(header.slope) and math.isfinite(header.inter)):
         warn("W104", f"scl_slope {header.slope} and scl_inter {header.inter} of {name} are ignored: voxels are taken "
                      "as they are stored.")
-        return stored
+        return voxels
     if header.slope == 0 or (header.slope, header.inter) == (1, 0):
-        return stored
-    return stored * np.float64(header.slope) + header.inter
+        return voxels
+    return voxels * np.float64(header.slope) + header.inter
 
 
 def _finite(values: np.ndarray, nan, name: str) -> np.ndarray:
