@@ -8,7 +8,7 @@ from tests import cuts
 from tests.meshes import BRAIN, cut_in, disc, grid, jittered, mapped, space_of, turn
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.branch import branch_gradients
-from xfemnav.mechanics.elasticity import Material, stiffness, strain_matrices, strain_operator
+from xfemnav.mechanics.elasticity import Material, Tissue, mixed, stiffness, strain_matrices, strain_operator
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.quadrature import tip_rule
 
@@ -192,3 +192,24 @@ def test_stiffness_does_not_depend_on_the_unit_of_length():
     mesh = grid(4, 4.0)
     K = stiffness(space_of(mesh), BRAIN)
     assert_allclose(stiffness(space_of(mapped(mesh, 10 * np.eye(2))), BRAIN).toarray(), K.toarray(), atol=1e-12)
+
+
+def test_one_tissue_in_all_cells_is_the_material():
+    space = generic_space()
+    n = len(space.mesh.cells)
+    same = Tissue(np.full(n, 3.0), np.full(n, 0.45))
+    one, other = stiffness(space, Material(3.0, 0.45)), stiffness(space, same)
+    assert abs(one - other).max() <= 1e-14 * abs(one).max()  # the same sums
+
+
+def test_shares_mix_the_constants_of_lame_and_so_the_stiffness():
+    soft, hard = Material(3.0, 0.45), Material(9.0, 0.30)
+    tissue = mixed((soft, hard), [[1, 0], [0, 2], [1, 3]])
+    assert_allclose(tissue.stiffness_in(np.arange(3)), [
+        soft.stiffness, hard.stiffness, 0.25 * soft.stiffness + 0.75 * hard.stiffness], rtol=1e-13)
+
+
+def test_tissue_out_of_range_is_refused():
+    with pytest.raises(XfemnavError) as caught:
+        Tissue([3.0, -1.0], [0.45, 0.45])
+    assert caught.value.code == "E404"

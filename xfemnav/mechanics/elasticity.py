@@ -1,4 +1,4 @@
-"""Linear elasticity in the plane: the material, the stiffness matrix K."""
+"""Linear elasticity in the plane: one material or one a cell, and the stiffness matrix K."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array, csr_array
 
 from xfemnav.errors import XfemnavError
+from xfemnav.geometry.mesh import frozen_array
 from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.space import Space
 
@@ -49,6 +50,58 @@ class Material:
         return 3 - 4 * nu if self.stress_state == "strain" else (3 - nu) / (1 + nu)
 
 
+    def at(self, cell: int) -> "Material":
+        """The material of a cell: this one."""
+        return self
+
+    def young_in(self, cells) -> np.ndarray:
+        """Young's modulus (k,) kPa in cells (k,)."""
+        return np.full(len(cells), self.young_kpa)
+
+    def stiffness_in(self, cells) -> np.ndarray:
+        """D (k, 3, 3) kPa in cells (k,)."""
+        return np.broadcast_to(self.stiffness, (len(cells), 3, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Tissue:
+    """A material for each cell: young_kpa (m,), poisson (m,), plane 'strain' or 'stress'; in use like a `Material`."""
+
+    young_kpa: np.ndarray
+    poisson: np.ndarray
+    stress_state: str = "strain"
+
+    def __post_init__(self):
+        object.__setattr__(self, "young_kpa", frozen_array(self.young_kpa, float, (None,), "young_kpa"))
+        object.__setattr__(self, "poisson", frozen_array(self.poisson, float, self.young_kpa.shape, "poisson"))
+        for pick in (np.argmin, np.argmax):
+            for values in (self.young_kpa, self.poisson):
+                self.at(int(pick(values)))
+
+    def at(self, cell: int) -> Material:
+        """The material of a cell."""
+        return Material(float(self.young_kpa[cell]), float(self.poisson[cell]), self.stress_state)
+
+    def young_in(self, cells) -> np.ndarray:
+        """Young's modulus (k,) kPa in cells (k,)."""
+        return self.young_kpa[cells]
+
+    def stiffness_in(self, cells) -> np.ndarray:
+        """D (k, 3, 3) kPa in cells (k,)."""
+        different, which = np.unique(
+            np.stack([self.young_kpa[cells], self.poisson[cells]], axis=1), axis=0, return_inverse=True
+        )
+        return np.array([Material(E, nu, self.stress_state).stiffness for E, nu in different.tolist()])[which.ravel()]
+
+
+def mixed(materials: tuple[Material, ...], shares) -> Tissue:
+    """Tissue of cells that hold `materials` by `shares` (m, k) of their area: Lame's constants in proportion."""
+    shares = np.asarray(shares, float) / np.sum(shares, axis=1, keepdims=True)
+    E, nu = (np.array([getattr(each, name) for each in materials]) for name in ("young_kpa", "poisson"))
+    lam, mu = shares @ (E * nu / ((1 + nu) * (1 - 2 * nu))), shares @ (E / (2 * (1 + nu)))
+    return Tissue(mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu)), materials[0].stress_state)
+
+
 def strain_operator(gradient) -> np.ndarray:
     """Rows xx, yy, 2 xy (..., 3, 2 a) of the strain of basis functions with gradients (..., a, 2); DOF 2 a + i."""
     B = np.zeros((*gradient.shape[:-2], 3, 2 * gradient.shape[-2]))
@@ -57,13 +110,12 @@ def strain_operator(gradient) -> np.ndarray:
     return B
 
 
-def stiffness(space: Space, material: Material, cells=None) -> csc_array:
+def stiffness(space: Space, material: Material | Tissue, cells=None) -> csc_array:
     """K (n_dof, n_dof) kPa, per mm of thickness; symmetric. With `cells`, only their share: their element stiffness.
 
     Plain and Heaviside parts carry constant gradients, so their integrals are exact. Parts with branch functions are
     integrated by the tip-adapted rule.
     """
-    D = material.stiffness
     subcells, table = space.subcells, space.enrichment
     chosen = np.ones(subcells.n_parts, bool) if cells is None else np.isin(subcells.part_cell, cells)
     branched = np.zeros(subcells.n_parts, dtype=bool)
@@ -71,23 +123,30 @@ def stiffness(space: Space, material: Material, cells=None) -> csc_array:
     area = np.bincount(subcells.part, subcells.areas, subcells.n_parts)
     plain = np.flatnonzero(chosen & ~branched)
     # K_c = area B' D B
+    D = material.stiffness_in(subcells.part_cell[plain])
     B = strain_operator(space.mesh.gradients[subcells.part_cell[plain]])
-    K_c = np.einsum("csa,st,ctb->cab", B * area[plain, None, None], D, B, optimize=True)
+    K_c = np.einsum("csa,cst,ctb->cab", B * area[plain, None, None], D, B, optimize=True)
     dof = (2 * table.dof[plain][:, :, None] + np.arange(2)).reshape(-1, 6)
     rows, columns = np.repeat(dof, 6, axis=1).ravel(), np.tile(dof, (1, 6)).ravel()
     K = coo_array((K_c.ravel(), (rows, columns)), (table.n_dof, table.n_dof)).tocsc()
     about_tip = np.flatnonzero((chosen & branched)[subcells.part])
     if len(about_tip):
         points, weights, owner = tip_rule(subcells.corners[about_tip], subcells.tips)
-        K = K + _quadrature_stiffness(space, D, points, weights, subcells.part[about_tip][owner])
+        parts = subcells.part[about_tip][owner]
+        K = K + _quadrature_stiffness(space, material.stiffness_in(subcells.part_cell[parts]), points, weights, parts)
     return csc_array((K + K.T) / 2)
 
 
 def _quadrature_stiffness(space, D, points, weights, parts):
-    """sum_q w B' D B with the sparse strain operator B of all quadrature points at once."""
+    """sum_q w B' D B with the sparse strain operator B of all quadrature points at once; D (q, 3, 3)."""
     G = strain_matrices(space, points, parts)
-    stress = [sum(D[s, t] * G[t] for t in range(3) if D[s, t]).multiply(weights[:, None]) for s in range(3)]
-    return csc_array(sum(G[s].T @ stress[s].tocsr() for s in range(3)))
+    stress = stress_matrices(G, D * weights[:, None, None])
+    return csc_array(sum(G[s].T @ stress[s] for s in range(3)))
+
+
+def stress_matrices(strain: list[csr_array], D) -> list[csr_array]:
+    """Three matrices (q, n_dof): stress xx, yy, xy from the DOFs, from `strain_matrices` and D (q, 3, 3) kPa."""
+    return [csr_array(sum(strain[t].multiply(D[:, s, t, None]) for t in range(3))) for s in range(3)]
 
 
 def strain_matrices(space: Space, points, parts) -> list[csr_array]:

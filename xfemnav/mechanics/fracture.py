@@ -73,15 +73,20 @@ def free_tips(problem: Problem, U) -> tuple[FreeTip, ...]:
         h = problem.mesh.sizes[sub.part_cell[touched_parts(sub, tip)]].max()
         radius = 0.9 * _clearance(problem, tip)
         if radius >= 2 * h:
-            K = np.array(stress_intensity(problem.space, problem.material, U, tip, radius)) * PA_SQRT_M
+            material = problem.material.at(sub.part_cell[touched_parts(sub, tip)[0]])
+            K = np.array(stress_intensity(problem.space, material, U, tip, radius)) * PA_SQRT_M
             found.append(FreeTip(int(sub.tip_cut[tip]), tuple(x.tolist()), float(K[0]), float(K[1]), float(radius)))
     return tuple(found)
 
 
 def _clearance(problem, tip):
-    """Distance mm from a tip to the nearest outline, other tip, other cut or held or loaded piece of a lip."""
+    """Distance mm from a tip to the nearest outline, tip, cut or tissue but its own, or held or loaded lip."""
     sub, x = problem.subcells, problem.subcells.tips[tip]
+    own = sub.part_cell[touched_parts(sub, tip)[0]]
+    D = problem.material.stiffness_in(sub.part_cell[sub.part])
+    other = np.abs(D - problem.material.at(own).stiffness).max(axis=(1, 2)) > 1e-9 * D.max()
     distance = [shapely.linestrings(sub.rim_ends), shapely.points(np.delete(sub.tips, tip, axis=0))]
+    distance.append(shapely.polygons(sub.corners[other]))
     distance.append(shapely.linestrings(sub.lip_ends[sub.lip_cut != sub.tip_cut[tip]]))
     for retraction, span in zip(problem.retractions, problem.spans):
         held = (sub.lip_cut == retraction.cut) & (sub.lip_arc[:, 0] < span[1]) & (sub.lip_arc[:, 1] > span[0])

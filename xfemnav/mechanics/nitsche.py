@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from xfemnav.mechanics.constraints import SKULL, vector_rows
-from xfemnav.mechanics.elasticity import Material, strain_matrices
+from xfemnav.mechanics.elasticity import Material, Tissue, strain_matrices, stress_matrices
 from xfemnav.mechanics.lips import LipQuadrature, Retraction, lip_quadrature
 from xfemnav.mechanics.space import Space
 
@@ -20,7 +20,9 @@ GAMMA = 2.0
 SMALL_PART = 0.2
 
 
-def nitsche_terms(space: Space, material: Material, retraction: Retraction, span) -> tuple[csr_array, np.ndarray]:
+def nitsche_terms(
+    space: Space, material: Material | Tissue, retraction: Retraction, span
+) -> tuple[csr_array, np.ndarray]:
     """Stiffness (n_dof, n_dof) kPa and load (n_dof,) mN per mm of the condition u = given on a held lip."""
     B, t, beta, weights, given = _lip_operators(space, material, retraction, span)
     w = np.repeat(weights, 2)
@@ -30,7 +32,7 @@ def nitsche_terms(space: Space, material: Material, retraction: Retraction, span
 
 
 def nitsche_traction(
-    space: Space, material: Material, retraction: Retraction, span, U
+    space: Space, material: Material | Tissue, retraction: Retraction, span, U
 ) -> tuple[LipQuadrature, np.ndarray]:
     """Gauss points of the lip and the traction (q, 2) kPa of the retractor there: t(u) - beta (u - given)."""
     B, t, beta, _, given = _lip_operators(space, material, retraction, span)
@@ -44,14 +46,13 @@ def _lip_operators(space, material, retraction, span):
     q = lip_quadrature(space, retraction.cut, retraction.side, span)
     B = vector_rows(space.basis_in(q.points, q.parts), np.zeros((len(q.points), 2)), SKULL).C
     m = -retraction.side * q.normals
-    D = material.stiffness
-    strain = strain_matrices(space, q.points, q.parts)
-    stress = [sum(D[s, k] * strain[k] for k in range(3) if D[s, k]) for s in range(3)]
     area = np.bincount(space.subcells.part, space.subcells.areas, space.subcells.n_parts)
     length = np.bincount(q.parts, q.weights, space.subcells.n_parts)
     cell = space.subcells.part_cell[q.parts]
+    D = material.stiffness_in(cell)
+    stress = stress_matrices(strain_matrices(space, q.points, q.parts), D)
     alone = (area[q.parts] < SMALL_PART * space.mesh.areas[cell]) | np.isin(q.parts, space.branch_parts)
-    beta = np.where(alone, 2 / space.mesh.sizes[cell], GAMMA * length[q.parts] / area[q.parts]) * D[0, 0]
+    beta = np.where(alone, 2 / space.mesh.sizes[cell], GAMMA * length[q.parts] / area[q.parts]) * D[:, 0, 0]
     # Cauchy: t_x = s_xx m_x + s_xy m_y, t_y = s_xy m_x + s_yy m_y; none where the penalty stands alone.
     mx, my = (m * ~alone[:, None]).T[:, :, None]
     t = vstack([stress[0].multiply(mx) + stress[2].multiply(my), stress[2].multiply(mx) + stress[1].multiply(my)])

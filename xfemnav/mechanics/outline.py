@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.constraints import SKULL, Constraints, normal_rows, stack, vector_rows
-from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.space import Space
 
 #: Length over which the skull's springs reach the tissue's own stiffness: k = (E / RAMP_STIFFNESS_MM) x / (1 - x).
@@ -52,7 +52,7 @@ class Rim:
 
 
 def skull_conditions(
-    space: Space, skull: Skull, mouths, material: Material, measured=None
+    space: Space, skull: Skull, mouths, material: Material | Tissue, measured=None
 ) -> tuple[Constraints, csr_array]:
     """Conditions C U = d on the outline and the spring matrix (n_dof, n_dof) kPa of the ramp.
 
@@ -163,9 +163,9 @@ def _springs(space, skull, mouths, material, unknown):
     distance = _distance(points, mouths)
     x = (distance - skull.craniotomy_mm) / skull.ramp_mm if skull.ramp_mm > 0 else np.zeros(len(points))
     x = np.clip(x, 0, 0.999)
-    h = space.mesh.sizes[sub.part_cell[sub.rim_part[facet]]]
-    beyond = STRADDLE_PENALTY * material.stiffness[0, 0] / h
-    k = weights * np.where(distance >= full, beyond, material.young_kpa / RAMP_STIFFNESS_MM * x / (1 - x))
+    cell = sub.part_cell[sub.rim_part[facet]]
+    beyond = STRADDLE_PENALTY * material.stiffness_in(cell)[:, 0, 0] / space.mesh.sizes[cell]
+    k = weights * np.where(distance >= full, beyond, material.young_in(cell) / RAMP_STIFFNESS_MM * x / (1 - x))
     points, facet, k = points[k > 0], facet[k > 0], k[k > 0]
     B = space.basis_in(points, sub.rim_part[facet])
     if skull.kind == "sliding":

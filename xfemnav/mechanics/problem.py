@@ -10,7 +10,7 @@ from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.subcells import Subcells, embed
 from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
-from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
 from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
 from xfemnav.mechanics.nitsche import nitsche_terms
@@ -33,7 +33,7 @@ class Problem:
 
     space: Space
     cuts: tuple[Cut, ...]
-    material: Material
+    material: Material | Tissue
     skull: Skull
     retractions: tuple[Retraction, ...]
     spans: np.ndarray
@@ -70,7 +70,7 @@ class Problem:
 def pose(
     mesh: Mesh,
     cuts: tuple[Cut, ...],
-    material: Material,
+    material: Material | Tissue,
     skull: Skull,
     retractions: tuple[Retraction, ...] = (),
     *,
@@ -101,10 +101,10 @@ def pose(
         raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
     if tip_enrichment not in TIP_ENRICHMENTS:
         raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
-    if material.poisson > LOCKING_POISSON:
+    if (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:
         warn(
             "W405",
-            f"Poisson's ratio {material.poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
+            f"Poisson's ratio {poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
             "or displacement may be over 5 % off; use 0.45 to 0.48, or smaller elements.",
         )
     subcells = embed(mesh, cuts)

@@ -9,7 +9,8 @@ pieces of a node do not overlap): that gives the conditioning of plain finite el
 import numpy as np
 from scipy.sparse import csc_array, csr_array
 
-from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.angles import touched_parts
+from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment
 from xfemnav.mechanics.space import Space
 
@@ -30,14 +31,17 @@ def tip_frame(travel) -> np.ndarray:
     return np.array([travel, [-travel[1], travel[0]]])
 
 
-def vector_tip_basis(space: Space, material: Material) -> csc_array:
+def vector_tip_basis(space: Space, material: Material | Tissue) -> csc_array:
     """T (n_dof, n): the identity, but two columns (mode I, mode II) for the eight branch DOFs of each node and tip."""
     table = space.enrichment
     first = np.flatnonzero(table.kind == BRANCH)
     n_plain = 2 * int((table.kind < BRANCH).sum())
-    modes = mode_combinations(material.kappa)
+    sub = space.subcells
+    # A tip on an edge between two materials takes the first: the span is a choice, not the law.
+    cells = [sub.part_cell[touched_parts(sub, tip)[0]] for tip in range(len(sub.tips))]
+    modes = np.array([mode_combinations(material.at(cell).kappa) for cell in cells]).reshape(-1, 2, 4, 2)
     frames = np.array([tip_frame(travel) for travel in space.subcells.tip_travel]).reshape(-1, 2, 2)
-    blocks = np.einsum("mlj,fji->flim", modes, frames[table.tip[first]])
+    blocks = np.einsum("fmlj,fji->flim", modes[table.tip[first]], frames[table.tip[first]])
     rows = 2 * (first[:, None] + np.arange(4))[:, :, None, None] + np.arange(2)[:, None]
     columns = n_plain + 2 * np.arange(len(first))[:, None, None, None] + np.arange(2)
     rows, columns = np.broadcast_arrays(rows, columns)
