@@ -11,7 +11,7 @@ from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc, jittered, measured_out
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.sizing import SizeField
-from xfemnav.mechanics import solution as solution_module
+from xfemnav.mechanics import minimise
 from xfemnav.mechanics.elasticity import Material, stiffness, strain_matrices
 from xfemnav.mechanics.lips import Retraction, crossings, lip_quadrature
 from xfemnav.mechanics.outline import Skull
@@ -196,7 +196,7 @@ def test_the_triangles_are_the_map():
 
 
 def test_a_residual_above_the_limit_is_an_error(monkeypatch):
-    monkeypatch.setattr(solution_module, "RESIDUAL_LIMIT", -1.0)
+    monkeypatch.setattr(minimise, "RESIDUAL_LIMIT", -1.0)
     with pytest.raises(XfemnavError, match="E407"):
         solve(pose(MESH, (CUT,), BRAIN, HARD_SKULL, both()))
 

@@ -13,6 +13,7 @@ from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
 from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
+from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.nitsche import nitsche_terms
 from xfemnav.mechanics.outline import Skull, skull_conditions
 from xfemnav.mechanics.space import Space
@@ -25,7 +26,7 @@ LOCKING_POISSON = 0.48
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Minimise 1/2 U'(K + springs)U - load'U under C U = d.
+    """Minimise 1/2 U'(K + springs)U - load'U under C U = d and, where surfaces may touch, G U + gap >= 0 (`contacts`).
 
     springs: the skull's ramp and the terms of Nitsche's condition, as stiffness; spans (r, 2) mm: the held part of each
     retraction's lip; removed (p,): parts of loose crumbs, not in the result.
@@ -44,6 +45,7 @@ class Problem:
     tip_enrichment: str
     lip_constraint: str
     hold_tip: bool
+    contacts: Contacts | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
