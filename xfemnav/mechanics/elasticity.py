@@ -49,7 +49,6 @@ class Material:
         nu = self.poisson
         return 3 - 4 * nu if self.stress_state == "strain" else (3 - nu) / (1 + nu)
 
-
     def at(self, cell: int) -> "Material":
         """The material of a cell: this one."""
         return self
@@ -57,6 +56,10 @@ class Material:
     def young_in(self, cells) -> np.ndarray:
         """Young's modulus (k,) kPa in cells (k,)."""
         return np.full(len(cells), self.young_kpa)
+
+    def lame_in(self, cells) -> tuple[np.ndarray, np.ndarray]:
+        """Lame's constants mu and lambda, each (k,) kPa, of the solid in cells (k,)."""
+        return lame(self.young_in(cells), np.full(len(cells), self.poisson))
 
     def stiffness_in(self, cells) -> np.ndarray:
         """D (k, 3, 3) kPa in cells (k,)."""
@@ -86,6 +89,10 @@ class Tissue:
         """Young's modulus (k,) kPa in cells (k,)."""
         return self.young_kpa[cells]
 
+    def lame_in(self, cells) -> tuple[np.ndarray, np.ndarray]:
+        """Lame's constants mu and lambda, each (k,) kPa, of the solid in cells (k,)."""
+        return lame(self.young_kpa[cells], self.poisson[cells])
+
     def stiffness_in(self, cells) -> np.ndarray:
         """D (k, 3, 3) kPa in cells (k,)."""
         different, which = np.unique(
@@ -94,11 +101,16 @@ class Tissue:
         return np.array([Material(E, nu, self.stress_state).stiffness for E, nu in different.tolist()])[which.ravel()]
 
 
+def lame(young, poisson) -> tuple[np.ndarray, np.ndarray]:
+    """Lame's constants mu and lambda, in the unit of Young's modulus, of a solid."""
+    return young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+
+
 def mixed(materials: tuple[Material, ...], shares) -> Tissue:
     """Tissue of cells that hold `materials` by `shares` (m, k) of their area: Lame's constants in proportion."""
     shares = np.asarray(shares, float) / np.sum(shares, axis=1, keepdims=True)
     E, nu = (np.array([getattr(each, name) for each in materials]) for name in ("young_kpa", "poisson"))
-    lam, mu = shares @ (E * nu / ((1 + nu) * (1 - 2 * nu))), shares @ (E / (2 * (1 + nu)))
+    mu, lam = (shares @ constant for constant in lame(E, nu))
     return Tissue(mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu)), materials[0].stress_state)
 
 
