@@ -141,16 +141,14 @@ def _without_slivers(region):
 def _checked(ring, name):
     ring = np.asarray(ring, dtype=float)
     if ring.ndim != 2 or ring.shape[1:] != (2,) or not np.isfinite(ring).all():
-        raise XfemnavError("E311", f"resection '{name}' has no finite 2-D points; give a closed loop of at least three.")
+        raise XfemnavError("E311", f"resection '{name}' has no finite 2-D points; give a closed loop of them.")
     return ring
 
 
 def _never_meets(region, organ, name):
     distance, at = organ.distance(region), np.asarray(region.centroid.coords)[0]
-    text = (
-        f"resection '{name}' takes nothing of the organ: it lies about ({at[0]:.1f}, {at[1]:.1f}) mm, {distance:.1f} mm "
-        "from the organ."
-    )
+    where = f"about ({at[0]:.1f}, {at[1]:.1f}) mm, {distance:.1f} mm from it"
+    text = f"resection '{name}' takes nothing of the organ: it lies {where}."
     for hint, sign in {"--space lps": (-1, -1), "--space lps (or a left-right flip)": (-1, 1)}.items():
         if organ.intersects(shapely.transform(region, lambda x, sign=sign: x * sign)):
             return f"{text} With the sign of its coordinates changed it would not: did you mean {hint}?"

@@ -1,41 +1,101 @@
 """Snap a network of cuts to a mesh, so that no part is thinner than rounding can tell."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import shapely
 
-from xfemnav.geometry.mesh import orient
+from xfemnav.geometry.mesh import frozen_array, orient
+from xfemnav.geometry.resection import even_odd, inner_paths, rings_of
 
 # Fractions of the local element size h.
 SNAP = 1e-3  # the cut is moved onto a node or edge as near as this
 SEVER = 1e-5  # a contact shorter than this joins nothing
 
 
-def node_sizes(mesh):
-    """Mean element size (n,) mm about each node: what snapping is measured in."""
+@dataclass(frozen=True, eq=False)
+class Net:
+    """What lines are snapped to: `points` (n, 2) mm and the local element size (n,) mm there, `segments` (e, 2, 2) mm
+    and theirs (e,) mm. The first points are the mesh's nodes, and the first segments its edges."""
+
+    points: np.ndarray
+    sizes: np.ndarray
+    segments: np.ndarray
+    segment_sizes: np.ndarray
+
+    def __post_init__(self):
+        for name, shape in (("points", (None, 2)), ("sizes", (None,)), ("segments", (None, 2, 2))):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
+        sizes = frozen_array(self.segment_sizes, float, (len(self.segments),), "segment_sizes")
+        object.__setattr__(self, "segment_sizes", sizes)
+
+    def size_at(self, x) -> float:
+        """Element size mm at the point nearest to x (2,) mm."""
+        return float(self.sizes[np.argmin(np.sum((self.points - x) ** 2, axis=1))])
+
+    def with_lines(self, paths) -> "Net":
+        """The net with polylines that lie on it already, so that others can be snapped to them."""
+        paths = [path for path in paths if len(path) > 1]
+        if not paths:
+            return self
+        sizes = [np.array([self.size_at(x) for x in path]) for path in paths]
+        points = np.concatenate([self.points, *paths])
+        _, first = np.unique(points, axis=0, return_index=True)
+        first = np.sort(first)
+        return Net(
+            points[first],
+            np.concatenate([self.sizes, *sizes])[first],
+            np.concatenate([self.segments, *(np.stack([p[:-1], p[1:]], axis=1) for p in paths)]),
+            np.concatenate([self.segment_sizes, *(np.minimum(h[:-1], h[1:]) for h in sizes)]),
+        )
+
+
+def mesh_net(mesh) -> Net:
+    """Nodes and edges of a mesh, with the mean size of the elements about each node."""
     total = np.bincount(mesh.cells.ravel(), np.repeat(mesh.sizes, 3), len(mesh.points))
-    return total / np.maximum(np.bincount(mesh.cells.ravel(), minlength=len(mesh.points)), 1)
+    h = total / np.maximum(np.bincount(mesh.cells.ravel(), minlength=len(mesh.points)), 1)
+    return Net(mesh.points, h, mesh.points[mesh.edges], h[mesh.edges].min(axis=1))
 
 
-def snap(mesh, node_h, paths):
-    """Move cut vertices onto near nodes and edges, and make near nodes vertices of the cut."""
-    edges = mesh.edges
-    edge_h = node_h[edges].min(axis=1)
-    snapped = []
-    for path in paths:
-        path = _simplified(path, mesh.points, node_h)
-        path = np.array([_snap_vertex(x, mesh.points, node_h, edges, edge_h) for x in path])
-        path = path[np.concatenate([[True], (np.diff(path, axis=0) != 0).any(axis=1)])]
-        snapped.append(_through_near_nodes(path, mesh.points, node_h) if len(path) > 1 else path)
+def snap_region(net: Net, region, outline) -> tuple[shapely.Geometry, tuple[np.ndarray, ...]]:
+    """A region snapped to the mesh, and the lines (k, 2) mm of its boundary that run off the `outline`.
+
+    What is narrower than the snapping closes, so the region is snapped again until it stays as it is.
+    """
+    for _ in range(10):
+        rings = [_snapped(net, np.vstack([ring, ring[:1]])) for ring in rings_of(region)]
+        before, region = region, even_odd([ring[:-1] for ring in rings])
+        if shapely.equals_exact(shapely.normalize(region), shapely.normalize(before)):
+            break
+    return region, inner_paths(rings_of(region), outline, SEVER * net.sizes.min())
+
+
+def snap(net: Net, paths, walls=()) -> list[np.ndarray]:
+    """Move the vertices of cuts onto near nodes and edges, and make near nodes vertices of the cut.
+
+    The `walls` of resections are snapped already: they count as edges, and their vertices as nodes.
+    """
+    target = net.with_lines(walls)
+    snapped = [_snapped(target, path) for path in paths]
     # Ends of a branch are put on the cut that they touch.
     for k, path in enumerate(snapped):
+        others = [other for other in snapped[:k] + snapped[k + 1 :] if len(other) > 1]
         for end in (0, -1):
-            for other in snapped[:k] + snapped[k + 1 :]:
+            h = net.size_at(path[end])
+            for other in others:
                 nearest = _nearest_on_path(other, path[end])
-                h = node_h[np.argmin(np.sum((mesh.points - path[end]) ** 2, axis=1))]
                 if np.linalg.norm(nearest - path[end]) < SNAP * h:
                     path[end] = nearest
-            _onto_near_lines(snapped, path, end, node_h[np.argmin(np.sum((mesh.points - path[end]) ** 2, axis=1))])
+            if len(path) > 1 and not any(_is_on(wall, path[end], h) for wall in walls):
+                _onto_near_lines([*snapped, *walls], path, end, h)
     return snapped
+
+
+def _snapped(net, path):
+    path = _simplified(path, net)
+    path = np.array([_snap_vertex(x, net) for x in path])
+    path = path[np.concatenate([[True], (np.diff(path, axis=0) != 0).any(axis=1)])]
+    return _through_near_nodes(path, net) if len(path) > 1 else path
 
 
 def _onto_near_lines(paths, path, end, h):
@@ -51,35 +111,36 @@ def _onto_near_lines(paths, path, end, h):
                 path[end] = a + along * (b - a) / length
 
 
-def _simplified(path, points, node_h):
+def _simplified(path, net):
     """The path without vertices that lie on it anyway, to a tenth of the snapping: dense points make no kinks."""
-    h = min(node_h[np.argmin(np.sum((points - x) ** 2, axis=1))] for x in path)
+    h = min(net.size_at(x) for x in path)
     return shapely.get_coordinates(shapely.simplify(shapely.LineString(path), SNAP / 10 * h))
 
 
-def _snap_vertex(x, points, node_h, edges, edge_h):
-    to_node = np.linalg.norm(points - x, axis=1)
-    near = np.argmin(to_node / node_h)
+def _snap_vertex(x, net):
+    to_node = np.linalg.norm(net.points - x, axis=1)
+    near = np.argmin(to_node / net.sizes)
     # Farther than a line is bent to a node, so that no node is left on the line just before a tip.
-    if to_node[near] <= 2 * SNAP * node_h[near]:
-        return points[near].copy()
-    a, b = points[edges[:, 0]], points[edges[:, 1]]
+    if to_node[near] <= 2 * SNAP * net.sizes[near]:
+        return net.points[near].copy()
+    a, b = net.segments.swapaxes(0, 1)
     t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)
     foot = a + t[:, None] * (b - a)
     gap = np.linalg.norm(foot - x, axis=1)
-    near = np.argmin(gap / edge_h)
-    return foot[near] if gap[near] <= SNAP * edge_h[near] else x
+    near = np.argmin(gap / net.segment_sizes)
+    return foot[near] if gap[near] <= SNAP * net.segment_sizes[near] else x
 
 
-def _through_near_nodes(path, points, node_h):
+def _through_near_nodes(path, net):
     """Bend each segment through the nodes that it nearly touches, until it touches no other."""
+    points = net.points
     for _ in range(10):
         bent = [path[0]]
         for a, b in zip(path[:-1], path[1:]):
             length = np.linalg.norm(b - a)
             t = (points - a) @ (b - a) / length
             off = np.abs(orient(a, b, points)) / length
-            near = np.flatnonzero((off <= SNAP * node_h) & (t > 0) & (t < length))
+            near = np.flatnonzero((off <= SNAP * net.sizes) & (t > 0) & (t < length))
             near = near[(points[near] != a).any(axis=1) & (points[near] != b).any(axis=1)]
             bent.extend(points[near[np.argsort(t[near])]])
             bent.append(b)
@@ -96,20 +157,22 @@ def _nearest_on_path(path, x):
     return foot[np.argmin(np.sum((foot - x) ** 2, axis=1))]
 
 
-def find_tips(mesh, node_h, paths, loops):
-    """Cut ends that are tips, as (cut, path, end): not on the outline, not on another cut, not a loop's end."""
+def _is_on(path, x, h):
+    return np.linalg.norm(_nearest_on_path(path, x) - x) <= SEVER * h
+
+
+def find_tips(mesh, net: Net, paths, walls=()) -> list[tuple[int, np.ndarray, int]]:
+    """Cut ends that are tips, as (cut, path, end): not on the outline, not on another cut or wall, not a loop's end."""
     a, b = mesh.points[mesh.boundary_edges].swapaxes(0, 1)
     tips = []
     for k, path in enumerate(paths):
+        if len(path) < 2 or np.array_equal(path[0], path[-1]):
+            continue
+        others = [*paths[:k], *paths[k + 1 :], *walls]
         for end in (0, -1):
-            x = path[end]
+            x, h = path[end], net.size_at(path[end])
             t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)
-            h = node_h[np.argmin(np.sum((mesh.points - x) ** 2, axis=1))]
-            to_rim = np.linalg.norm(a + t[:, None] * (b - a) - x, axis=1).min()
-            to_cut = min(
-                (np.linalg.norm(_nearest_on_path(other, x) - x) for j, other in enumerate(paths) if j != k),
-                default=np.inf,
-            )
-            if not loops[k] and min(to_rim, to_cut) > SEVER * h:
+            on_rim = np.linalg.norm(a + t[:, None] * (b - a) - x, axis=1).min() <= SEVER * h
+            if not on_rim and not any(len(other) > 1 and _is_on(other, x, h) for other in others):
                 tips.append((k, path, end))
     return tips

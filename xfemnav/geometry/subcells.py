@@ -3,17 +3,21 @@
 The mesh never contains the cut. Each crossed cell is split by binary space partition: a convex part is split by the
 supporting line of a segment, and only the segment's own interval on that line is a cut. Two parts are *joined* where
 their facets overlap in an interval that is not cut, so vertices that hang on a neighbour's facet do not matter.
+The loop of a resection is a cut too; the parts inside it are removed, and what bounds them is a wall, not a lip.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import shapely
 
+from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array, orient
 from xfemnav.geometry.partition import REACH, UNCUT, Segments, split_cells, touched_cells, triangulate
-from xfemnav.geometry.snapping import SEVER, find_tips, node_sizes, snap
+from xfemnav.geometry.resection import Resection
+from xfemnav.geometry.snapping import SEVER, find_tips, mesh_net, snap, snap_region
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +35,9 @@ class Subcells:
         one cell (or along an edge), in travel order; the parts on the left (+1) and on the right (-1).
     lip_on_edge (l, 2): whether each end lies on a mesh edge or node.
     rim_part (b,), rim_ends (b, 2, 2) mm: facets of the organ's outline, tissue on the left.
+    removed (p,): parts taken out by a resection. No lip, rim facet, tip or wall belongs to one.
+    wall_part (w,), wall_ends (w, 2, 2) mm, wall_resection (w,): facets between what is left and what was taken out,
+        tissue on the left, and the resection that took it.
     tip_cut (t,), tip_end (t,) 0 or -1, tips (t, 2) mm, tip_travel (t, 2) unit direction in which the cut would go on.
     tip_touch (k, 2): pairs (tip, part) of the parts that a tip touches.
     paths: the snapped cuts, a tuple of (k, 2) mm.
@@ -53,6 +60,10 @@ class Subcells:
     tips: np.ndarray
     tip_travel: np.ndarray
     tip_touch: np.ndarray
+    removed: np.ndarray
+    wall_part: np.ndarray
+    wall_ends: np.ndarray
+    wall_resection: np.ndarray
     paths: tuple
 
     def __post_init__(self):
@@ -75,6 +86,10 @@ class Subcells:
             ("tips", float, (n, 2)),
             ("tip_travel", float, (n, 2)),
             ("tip_touch", np.int64, (n, 2)),
+            ("removed", bool, (len(self.part_cell),)),
+            ("wall_part", np.int64, (n,)),
+            ("wall_ends", float, (n, 2, 2)),
+            ("wall_resection", np.int64, (n,)),
         ):
             object.__setattr__(self, name, frozen_array(getattr(self, name), kind, shape, name))
         object.__setattr__(self, "paths", tuple(frozen_array(path, float, (n, 2), "path") for path in self.paths))
@@ -91,18 +106,36 @@ class Subcells:
         return len(self.part_cell)
 
 
-def embed(mesh: Mesh, cuts: tuple[Cut, ...]) -> Subcells:
-    """Split the cells of `mesh` by the cuts; nothing is dropped for being small.
+def embed(mesh: Mesh, cuts: tuple[Cut, ...], resections: tuple[Resection, ...] = ()) -> Subcells:
+    """Split the cells of `mesh` by the cuts and by the walls of the resections; nothing is dropped for being small.
 
-    The network is first snapped to the mesh at 1e-3 of the local element size. Raises nothing for any simple polylines.
+    The network is first snapped to the mesh at 1e-3 of the local element size. Any simple polylines will do.
+    Raises XfemnavError E311 for a resection that is smaller than the snapping.
     """
-    node_h = node_sizes(mesh)
-    paths = snap(mesh, node_h, [cut.path for cut in cuts])
-    loops = [np.array_equal(path[0], path[-1]) for path in paths]
-    segments = Segments(paths)
-    ends = [] if not paths else find_tips(mesh, node_h, paths, loops)
+    net = mesh_net(mesh)
+    region, walls = _snapped_region(mesh, net, resections)
+    paths = snap(net, [cut.path for cut in cuts], walls)
+    segments = Segments([*paths, *walls])
+    ends = [tip for tip in find_tips(mesh, net, paths, walls) if not shapely.contains_xy(region, *tip[1][tip[2]])]
     polygons = split_cells(mesh, segments, [path[end] for _, path, end in ends])
-    return _assemble(mesh, paths, segments, ends, polygons, [_travel(cuts[k].path, end) for k, _, end in ends])
+    return _assemble(mesh, paths, segments, ends, polygons, [_travel(cuts[k].path, end) for k, _, end in ends],
+                     region, resections)
+
+
+def _snapped_region(mesh, net, resections):
+    """All that is taken out, as one snapped region, and its walls inside the organ."""
+    if not resections:
+        return shapely.MultiPolygon(), ()
+    outline = shapely.multilinestrings(shapely.linestrings(mesh.points[mesh.boundary_edges]))
+    regions = [snap_region(net, resection.region, outline)[0] for resection in resections]
+    for resection, region in zip(resections, regions):
+        if region.is_empty:
+            raise XfemnavError(
+                "E311",
+                f"resection '{resection.name}' ({resection.area_mm2:.2g} mm2) is smaller than the mesh can tell; use "
+                "smaller elements, or leave it out.",
+            )
+    return snap_region(net, shapely.union_all(regions), outline)
 
 
 def _travel(drawn, end):
@@ -111,7 +144,7 @@ def _travel(drawn, end):
     return d / np.linalg.norm(d)
 
 
-def _assemble(mesh, paths, segments, ends, polygons, travel):
+def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections):
     n_cells = len(mesh.cells)
     part_cell = list(range(n_cells))
     part_of = {}
@@ -134,29 +167,65 @@ def _assemble(mesh, paths, segments, ends, polygons, travel):
                 xy = np.array([edge[:2] for edge in polygon])
                 if (np.hypot(*(xy - tip).T) < REACH * mesh.sizes[c]).any():
                     touch.append((t, p))
+    corners, part = np.concatenate(corners), np.concatenate(part)
+    removed = _inside(region, corners, part, len(part_cell))
     joins, join_middle = _joins(mesh, polygons, part_of)
-    lips = _lips(mesh, segments, polygons, part_of)
+    joined = removed[joins[:, 0]] == removed[joins[:, 1]]
+    faces = _lips(mesh, segments, polygons, part_of)
+    gone = removed[np.array([row[3] for row in faces], dtype=int).reshape(-1, 2)]
+    lips = [row for row, k in zip(faces, gone) if not k.any() and row[0] < len(paths)]
     rim_part, rim_ends = _rim(mesh, polygons, part_of)
+    on_rim = ~removed[rim_part]
     return Subcells(
-        corners=np.concatenate(corners),
-        part=np.concatenate(part),
+        corners=corners,
+        part=part,
         part_cell=part_cell,
-        joins=joins,
-        join_middle=join_middle,
+        joins=joins[joined],
+        join_middle=join_middle[joined],
         lip_cut=[row[0] for row in lips],
         lip_arc=np.array([row[1] for row in lips]).reshape(-1, 2),
         lip_ends=np.array([row[2] for row in lips]).reshape(-1, 2, 2),
         lip_parts=np.array([row[3] for row in lips], dtype=int).reshape(-1, 2),
         lip_on_edge=np.array([row[4] for row in lips], dtype=bool).reshape(-1, 2),
-        rim_part=rim_part,
-        rim_ends=rim_ends,
+        rim_part=rim_part[on_rim],
+        rim_ends=rim_ends[on_rim],
         tip_cut=[k for k, _, _ in ends],
         tip_end=[end for _, _, end in ends],
         tips=np.array(tip_points).reshape(-1, 2),
         tip_travel=np.array(travel).reshape(-1, 2),
         tip_touch=np.array(touch, dtype=int).reshape(-1, 2),
+        removed=removed,
+        **_walls([row for row, k in zip(faces, gone) if k.sum() == 1], removed, resections),
         paths=tuple(paths),
     )
+
+
+def _inside(region, corners, part, n_parts):
+    """Parts (p,) that lie in the region: it holds the centre of their largest triangle."""
+    if region.is_empty:
+        return np.zeros(n_parts, dtype=bool)
+    area = orient(*corners.swapaxes(0, 1))
+    order = np.lexsort((area, part))
+    largest = order[np.searchsorted(part[order], np.arange(n_parts), side="right") - 1]
+    x, y = corners[largest].mean(axis=1).T
+    shapely.prepare(region)
+    return shapely.contains_xy(region, x, y)
+
+
+def _walls(faces, removed, resections):
+    """Facets with tissue on one side only, that side on their left, and the resection on the other."""
+    ends = np.array([row[2] for row in faces]).reshape(-1, 2, 2)
+    parts = np.array([row[3] for row in faces], dtype=int).reshape(-1, 2)
+    turned = removed[parts[:, 0]]
+    ends[turned] = ends[turned][:, ::-1]
+    # Regions may have been united, and snapped since: the nearest one took what lay beyond the facet.
+    middles = shapely.points(ends.mean(axis=1))
+    off = [shapely.distance(resection.region, middles) for resection in resections]
+    return {
+        "wall_part": np.where(turned, parts[:, 1], parts[:, 0]),
+        "wall_ends": ends,
+        "wall_resection": np.argmin(off, axis=0) if len(faces) else [],
+    }
 
 
 def _joins(mesh, polygons, part_of):
