@@ -123,6 +123,11 @@ FAULTS: dict[str, Fault] = {
     "E408": Fault(65, "measured boundary displacements cannot be used",
                   "The file has no columns x,y,ux,uy, or its points lie far from the outline.",
                   "Check the file's columns and frame."),
+    "E410": Fault(65, "no equilibrium found at this load",
+                  "The neo-Hookean tissue was squeezed flat or buckled before all of the load was on it.",
+                  "Ask for no more than the part of the load that the message names, or use smaller elements."),
+    "E411": Fault(78, "lips by Nitsche's condition are linear", "Its tractions are those of linear elasticity.",
+                  "Use `--lip-constraint mortar` with the neo-Hookean model."),
     # 5xx: writing
     "E501": Fault(74, "no space left on the disk", "A result could not be stored.",
                   "Free some space and run the same command again; finished stages are kept."),

@@ -20,6 +20,7 @@ from xfemnav.mechanics.space import Space
 
 LIP_CONSTRAINTS = ("mortar", "nitsche", "pointwise")
 TIP_ENRICHMENTS = ("topological", "geometric", "none")
+MODELS = ("linear", "neo-hookean")
 #: Above this ratio linear triangles lock: at 0.49 the energy is 7.5 to 8.3 % off (docs/sensitivity.md).
 LOCKING_POISSON = 0.48
 
@@ -29,7 +30,8 @@ class Problem:
     """Minimise 1/2 U'(K + springs)U - load'U under C U = d and, where surfaces may touch, G U + gap >= 0 (`contacts`).
 
     springs: the skull's ramp and the terms of Nitsche's condition, as stiffness; spans (r, 2) mm: the held part of each
-    retraction's lip; removed (p,): parts of loose crumbs, not in the result.
+    retraction's lip; removed (p,): parts of loose crumbs, not in the result. With the 'neo-hookean' model the tissue's
+    stored energy takes the place of 1/2 U'KU.
     """
 
     space: Space
@@ -46,6 +48,7 @@ class Problem:
     lip_constraint: str
     hold_tip: bool
     contacts: Contacts | None = None
+    model: str = "linear"
 
     def __post_init__(self):
         object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
@@ -81,6 +84,7 @@ def pose(
     tip_radius_mm: float | None = None,
     lip_constraint: str = "mortar",
     hold_tip: bool = False,
+    model: str = "linear",
 ) -> Problem:
     """State the problem of Sect. 5: a cut organ in its skull, with retractors on the lips.
 
@@ -92,17 +96,23 @@ def pose(
     tip_enrichment : 'topological' (Eq. 4), 'geometric' (all nodes within `tip_radius_mm`) or 'none'.
     lip_constraint : 'mortar' or 'nitsche' (stable), or 'pointwise' (Eqs. 5 and 6); `hold_tip` holds the tip cell's
         crossings too.
+    model : 'linear' elasticity, or 'neo-hookean' for finite strains.
 
     Raises
     ------
     XfemnavError
         E305 a cut along the outline, E306 a piece that nothing holds, E402 a blade off its cut, E403 two blades on one
-        lip, E405 lips pushed into each other, E406 nothing holds the organ, E408 measured points off the outline.
+        lip, E405 lips pushed into each other, E406 nothing holds the organ, E408 measured points off the outline, E411
+        Nitsche's lips with the neo-Hookean model.
     """
     if lip_constraint not in LIP_CONSTRAINTS:
         raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
     if tip_enrichment not in TIP_ENRICHMENTS:
         raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
+    if model not in MODELS:
+        raise ValueError(f"model is {model!r}, not one of {MODELS}")
+    if model != "linear" and lip_constraint == "nitsche":
+        raise XfemnavError("E411", "lips by Nitsche's condition are linear; use --lip-constraint mortar with it.")
     if (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:
         warn(
             "W405",
@@ -146,6 +156,7 @@ def pose(
         tip_enrichment,
         lip_constraint,
         hold_tip,
+        model=model,
     )
 
 
