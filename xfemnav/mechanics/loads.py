@@ -1,0 +1,62 @@
+"""Forces on the tissue beside the retractors': its weight, and pressures on walls and outline.
+
+Both are dead loads: they keep the direction and place that they have at rest, as small strains imply.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from xfemnav.mechanics.quadrature import tip_rule
+from xfemnav.mechanics.space import Space
+
+#: Weight of a kilogramme per cubic metre, as kPa/mm: 9.80665 N/kg.
+KPA_PER_MM = 9.80665e-6
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Weight of the tissue: `direction` (2,) in the plane, its length the share of gravity there.
+
+    Tissue farther along the direction than `fluid_level_mm` floats: its weight is that of the difference of the
+    densities. None: no fluid, as after drainage of the cerebrospinal fluid. Densities in kg/m^3.
+    """
+
+    direction: tuple[float, float]
+    density: float = 1000.0
+    fluid_density: float = 1007.0
+    fluid_level_mm: float | None = None
+
+    def force(self, points) -> np.ndarray:
+        """Force (k, 2) kPa/mm on the tissue at points (k, 2) mm."""
+        down = np.asarray(self.direction, float)
+        density = np.full(len(points), self.density)
+        if self.fluid_level_mm is not None:
+            density -= self.fluid_density * (points @ down > self.fluid_level_mm * np.linalg.norm(down))
+        return KPA_PER_MM * density[:, None] * down
+
+
+def weight_load(space: Space, gravity: Gravity) -> np.ndarray:
+    """Nodal forces (n_dof,) mN per mm of thickness of the tissue's weight.
+
+    Plain and Heaviside functions are linear on each triangle, so one point is exact; the level of a fluid is followed
+    to the triangle.
+    """
+    sub = space.subcells
+    about_tip = np.isin(sub.part, space.branch_parts)
+    points, weights, parts = sub.corners[~about_tip].mean(axis=1), sub.areas[~about_tip], sub.part[~about_tip]
+    if about_tip.any():
+        at, w, owner = tip_rule(sub.corners[about_tip], sub.tips)
+        points, weights = np.concatenate([points, at]), np.concatenate([weights, w])
+        parts = np.concatenate([parts, sub.part[about_tip][owner]])
+    return (space.basis_in(points, parts).T @ (weights[:, None] * gravity.force(points))).ravel()
+
+
+def pressure_load(space: Space, ends, parts, kpa: float) -> np.ndarray:
+    """Nodal forces (n_dof,) mN per mm of a pressure on facets (k, 2, 2) mm of parts (k,), tissue on their left."""
+    t, w = np.polynomial.legendre.leggauss(4)
+    along = ends[:, 1] - ends[:, 0]
+    points = ends[:, None, 0] + (t[:, None] + 1) / 2 * along[:, None]
+    inward = np.stack([-along[:, 1], along[:, 0]], axis=1)  # as long as the facet
+    force = kpa * np.repeat(inward, len(t), axis=0) * np.tile(w / 2, len(ends))[:, None]
+    return (space.basis_in(points.reshape(-1, 2), np.repeat(parts, len(t))).T @ force).ravel()
