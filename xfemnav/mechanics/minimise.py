@@ -1,16 +1,15 @@
 """Minimise a quadratic energy: 1/2 U'KU - f'U under equalities, eliminated exactly, and inequalities.
 
 The inequalities G U + gap >= 0 say that surfaces do not pass through each other (Signorini's conditions). Their
-multipliers are the pressures: never negative, and zero where there is a gap. K is factored once; what is left is a
-small dense problem for the pressures alone, solved as non-negative least squares (Lawson & Hanson 1974) and then
-exactly on the rows that press.
+multipliers are the pressing forces: never negative, and zero where there is a gap. K is factored once; what is left is
+a small dense problem for the forces alone, solved by an active set whose energy falls at every step, so that it cannot
+go round in circles (Lawson & Hanson 1974, Bro & de Jong 1997), and repeated on the true gaps until they are closed.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.optimize import nnls
+from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 
@@ -19,27 +18,53 @@ from xfemnav.geometry.mesh import frozen_array
 
 #: Largest relative residual of a solution that is given out.
 RESIDUAL_LIMIT = 1e-8
-#: A gap this much below zero, mm, is rounding.
-TOUCH_MM = 1e-10
-#: A condition whose part on the free unknowns is smaller than this, relative, is settled by the held lips.
+#: A gap this much below zero, mm, is rounding; one that is worse than the limit is not given out.
+TOUCH_MM, GAP_LIMIT_MM = 1e-10, 1e-9
+#: A condition whose part on the free unknowns is smaller than this, relative, is settled by what is held.
 SETTLED = 1e-8
+#: Held surfaces this far through each other, mm, contradict the condition between them.
+CONTRADICTION_MM = 1e-6
+#: Added to the unit diagonal of the forces' problem, which repeated conditions make singular.
+RIDGE = 1e-12
+#: Most repetitions on the true gaps; two or three are the rule.
+ROUNDS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Conditions G U + gap >= 0 mm: `G` (g, n_dof) sparse, `gap` (g,) mm at rest."""
+    """Conditions G U + gap >= 0 mm: `G` (g, n_dof) sparse, `gap` (g,) mm at rest.
+
+    Each is a mean over a hat: `cut` (g,) the cut whose lips it keeps apart, SKULL between outline and skull; `points`
+    (g, 2) mm its place; `hats` (g, 3) mm where the hat begins, peaks and ends along the cut, or beside the point of
+    the outline.
+    """
 
     G: csr_array
     gap: np.ndarray
+    cut: np.ndarray
+    points: np.ndarray
+    hats: np.ndarray
 
     def __post_init__(self):
         object.__setattr__(self, "G", csr_array(self.G))
-        object.__setattr__(self, "gap", frozen_array(self.gap, float, (self.G.shape[0],), "gap"))
+        g = self.G.shape[0]
+        for name, kind, shape in (
+            ("gap", float, (g,)),
+            ("cut", np.int64, (g,)),
+            ("points", float, (g, 2)),
+            ("hats", float, (g, 3)),
+        ):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), kind, shape, name))
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Length (g,) mm on which each condition's force acts: the hat's integral."""
+        return (self.hats[:, 2] - self.hats[:, 0]) / 2
 
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """U (n_dof,) mm; relative residual; force (g,): multipliers of the contacts, 0 where there is a gap."""
+    """U (n_dof,) mm; relative residual; force (g,) mN per mm: multipliers of the contacts, 0 where there is a gap."""
 
     U: np.ndarray
     residual: float
@@ -49,8 +74,8 @@ class Minimum:
 def minimise(K, load, U0, T, contacts: Contacts | None = None) -> Minimum:
     """The minimum over U = U0 + T q; K (n_dof, n_dof) kPa, load (n_dof,), U0 and T from `eliminate`.
 
-    Raises XfemnavError E407 when the energy has no minimum, when the residual stays above 1e-8, or when no pressures
-    were found that keep the gaps open.
+    Raises XfemnavError E405 when what is held pushes surfaces through each other; E407 when the energy has no minimum,
+    when the residual stays above 1e-8, or when no forces were found that keep the gaps open.
     """
     A = (T.T @ K @ T).tocsc()
     b = T.T @ (load - K @ U0)
@@ -61,14 +86,12 @@ def minimise(K, load, U0, T, contacts: Contacts | None = None) -> Minimum:
             "the linear system is not positive definite, so its solution is no minimum of energy; "
             "this is a bug, please report it with the run's parameters.",
         )
-    q = _refined(lu, A, b)
-    force = np.zeros(0)
+    q, force = _refined(lu, A, b), np.zeros(0)
     if contacts is not None:
-        G, gap = csr_array(contacts.G @ T), contacts.gap + contacts.G @ U0
-        force = _pressures(lu, G, gap, q)
-        if force.any():
-            q = _refined(lu, A, b + G.T @ force)
-            b = b + G.T @ force
+        G, gap, force = csr_array(contacts.G @ T), contacts.gap + contacts.G @ U0, np.zeros(len(contacts.gap))
+        live = _unsettled(contacts, G, gap, T)
+        q, force[live] = _pressed(lu, A, b, q, G[live], gap[live])
+        b = b + G.T @ force
     size = np.linalg.norm(b) + np.linalg.norm(T.T @ load)
     residual = float(np.linalg.norm(b - A @ q) / size) if size else 0.0
     if not residual <= RESIDUAL_LIMIT:
@@ -85,44 +108,84 @@ def _refined(lu, A, b):
     return q + lu.solve(b - A @ q)
 
 
-def _pressures(lu, G, gap, q):
-    """Multipliers (g,) >= 0 with gap + G (q + A^-1 G' force) >= 0, zero where that is positive."""
-    force = np.zeros(len(gap))
+def _unsettled(contacts, G, gap, T):
+    """Conditions (k,) that the free unknowns can act on; the others must be met by what is held."""
     norm = np.sqrt(G.multiply(G).sum(axis=1))
-    live = np.flatnonzero(norm > SETTLED * norm.max(initial=0.0))
-    if not len(live) or (gap + G @ q)[live].min() >= -TOUCH_MM:
-        return force
-    S = G[live] @ lu.solve(G[live].T.toarray())
+    reach = abs(contacts.G) @ np.sqrt(csr_array(T.multiply(T)).sum(axis=1))
+    settled = norm <= SETTLED * reach
+    worst = np.argmin(np.where(settled, gap, np.inf)) if settled.any() else None
+    if worst is not None and gap[worst] < -CONTRADICTION_MM:
+        x, y = contacts.points[worst]
+        what = "the lips of a cut into each other" if contacts.cut[worst] >= 0 else "the outline through the skull"
+        raise XfemnavError(
+            "E405",
+            f"what is held pushes {what} by {-gap[worst]:.2g} mm at ({x:.1f}, {y:.1f}) mm; "
+            "correct the displacements there, or give --lips free.",
+        )
+    return np.flatnonzero(~settled)
+
+
+def _pressed(lu, A, b, q, G, gap):
+    """q and forces (g,) >= 0 with A q = b + G' force and G q + gap >= 0, each force zero where its gap is open."""
+    force = np.zeros(len(gap))
+    opening = gap + G @ q
+    if opening.min(initial=0.0) >= -TOUCH_MM:
+        return q, force
+    S = G @ lu.solve(G.T.toarray())
     scale = 1 / np.sqrt(np.diag(S))
     S = (S + S.T) / 2 * scale[:, None] * scale
-    opening = (gap + G @ q)[live] * scale
-    force[live] = scale * _complementary(S, opening, TOUCH_MM * scale)
-    return force
-
-
-def _complementary(S, opening, slack):
-    """x >= 0 with y = S x + opening >= -slack and x_k y_k = 0; S symmetric, positive semidefinite, unit diagonal."""
-    R = cholesky(S + 1e-12 * np.eye(len(S)))
-    x, _ = nnls(R, solve_triangular(R, -opening, trans="T"), maxiter=50 * len(S))
-    pressing = x > 0
-    for _ in range(3 * len(S) + 10):
-        x = np.zeros(len(S))
-        x[pressing] = _exactly(S[np.ix_(pressing, pressing)], -opening[pressing])
-        y = S @ x + opening
-        wrong = (pressing & (x < 0)) | (~pressing & (y < -slack))
-        if not wrong.any():
-            return x
-        # One at a time, the worst first: all at once may go round in circles.
-        worst = np.argmax(np.where(wrong, np.abs(np.where(pressing, x, y)), -1.0))
-        pressing[worst] = ~pressing[worst]
+    for _ in range(ROUNDS):
+        force = scale * _complementary(S, force / scale, opening * scale, TOUCH_MM * scale)
+        q = _refined(lu, A, b + G.T @ force)
+        opening = gap + G @ q
+        error = np.where(force > 0, np.abs(opening), -opening).max()
+        if error <= TOUCH_MM:
+            return q, force
+    if error <= GAP_LIMIT_MM:
+        return q, force
     raise XfemnavError(
         "E407",
-        f"the pressures between {len(S)} touching places were not found; "
+        f"the forces between {len(gap)} touching places were not found: a gap is off by {error:.1e} mm; "
         "hold both lips of the cut, or give --lips free, and please report this with the run's parameters.",
     )
 
 
-def _exactly(S, target):
-    factor = cho_factor(S + 1e-14 * np.eye(len(S)))
-    x = cho_solve(factor, target)
-    return x + cho_solve(factor, target - S @ x)
+def _complementary(S, x, y, slack):
+    """From x >= 0 with gaps y to x' >= 0 with y' = y + S (x' - x) >= -slack, and y'_k = 0 where x'_k > 0.
+
+    S (g, g) symmetric, positive semidefinite, unit diagonal. The energy, whose gradient y is, falls with every step.
+    """
+    S = S + RIDGE * np.eye(len(S))
+    x, y = x.copy(), y.copy()
+    passive = x > 0
+    if not passive.any():  # a good place to start: all that overlap, without those that would pull
+        overlap = np.flatnonzero(y < -slack)
+        x[overlap] = np.maximum(_solve(S, overlap, -y), 0)
+        y, passive = y + S @ x, x > 0
+    stuck = np.zeros(len(x), dtype=bool)
+    added = -1
+    for _ in range(50 * len(x)):
+        while passive.any():
+            p = np.flatnonzero(passive)
+            step = _solve(S, p, -y)
+            leaving = x[p] + step <= 0
+            ratio = np.where(leaving, x[p] / np.maximum(-step, 1e-300), np.inf)
+            share = min(ratio.min(), 1.0)
+            x[p] += share * step
+            y = y + share * (S[:, p] @ step)
+            if not leaving.any():
+                break
+            gone = p[ratio <= share]
+            # Rounding may send back the one that was just added: it is not asked again.
+            stuck[gone[gone == added]] |= share == 0
+            x[gone], passive[gone] = 0.0, False
+        waiting = ~passive & ~stuck & (y < -slack)
+        if not waiting.any():
+            break
+        added = int(np.argmin(np.where(waiting, y, 0.0)))
+        passive[added] = True
+    return x
+
+
+def _solve(S, p, target):
+    return cho_solve(cho_factor(S[np.ix_(p, p)]), target[p])
