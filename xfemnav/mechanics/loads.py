@@ -36,6 +36,28 @@ class Gravity:
         return KPA_PER_MM * density[:, None] * down
 
 
+@dataclass(frozen=True)
+class Pressure:
+    """`kpa` on the wall of the resection with index `resection`, or on the outline (None); positive into the tissue."""
+
+    kpa: float
+    resection: int | None = None
+
+
+def dead_loads(space: Space, gravity: Gravity | None, pressures: tuple[Pressure, ...]) -> np.ndarray:
+    """Nodal forces (n_dof,) mN per mm of thickness of the weight and of all pressures."""
+    load, sub = np.zeros(space.enrichment.n_dof), space.subcells
+    if gravity is not None:
+        load += weight_load(space, gravity)
+    for pressure in pressures:
+        if pressure.resection is None:
+            load += pressure_load(space, sub.rim_ends, sub.rim_part, pressure.kpa)
+        else:
+            own = sub.wall_resection == pressure.resection
+            load += pressure_load(space, sub.wall_ends[own], sub.wall_part[own], pressure.kpa)
+    return load
+
+
 def weight_load(space: Space, gravity: Gravity) -> np.ndarray:
     """Nodal forces (n_dof,) mN per mm of thickness of the tissue's weight.
 

@@ -13,6 +13,7 @@ from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
 from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
+from xfemnav.mechanics.loads import Gravity, Pressure, dead_loads
 from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.nitsche import nitsche_terms
 from xfemnav.mechanics.outline import Skull, skull_conditions
@@ -85,6 +86,9 @@ def pose(
     lip_constraint: str = "mortar",
     hold_tip: bool = False,
     model: str = "linear",
+    gravity: Gravity | None = None,
+    pressures: tuple[Pressure, ...] = (),
+    craniotomies=(),
 ) -> Problem:
     """State the problem of Sect. 5: a cut organ in its skull, with retractors on the lips.
 
@@ -97,6 +101,7 @@ def pose(
     lip_constraint : 'mortar' or 'nitsche' (stable), or 'pointwise' (Eqs. 5 and 6); `hold_tip` holds the tip cell's
         crossings too.
     model : 'linear' elasticity, or 'neo-hookean' for finite strains.
+    gravity, pressures : dead loads. craniotomies : (m, 2) mm, further places about which the skull is open.
 
     Raises
     ------
@@ -127,11 +132,10 @@ def pose(
     spans = _spans(space, cuts, retractions, lip_constraint)
     _refuse_overlap(cuts, retractions, spans)
     _refuse_swapped(space, cuts, retractions, spans)
-    mouths = np.array([path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(
-        -1, 2
-    )
+    mouths = [path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]
+    mouths = np.array([*mouths, *craniotomies]).reshape(-1, 2)
     outline, springs = skull_conditions(space, skull, mouths, material, boundary_displacement)
-    conditions, load = [outline], np.zeros(n_dof)
+    conditions, load = [outline], dead_loads(space, gravity, pressures)
     for group, (retraction, span) in enumerate(zip(retractions, spans)):
         if not retraction.holds:
             load += lip_load(space, retraction, span)
