@@ -130,14 +130,14 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
 
 def mortar_rows(space: Space, retraction: Retraction, span, group: int) -> Constraints:
     """Mean displacement over hats of spacing 2 h along the span: integral of hat_k (u - given) = 0."""
-    knots = _knots(space, retraction.cut, span)
+    knots = knots_along(space, retraction.cut, span)
     q = lip_quadrature(space, retraction.cut, retraction.side, span, knots)
-    hats = _hats(q.arc, knots).multiply(q.weights)
+    hats = hats_at(q.arc, knots).multiply(q.weights)
     given = retraction.displacement(q.normals)
     return vector_rows(csr_array(hats @ space.basis_in(q.points, q.parts)), hats @ given, group)
 
 
-def _knots(space, cut, span):
+def knots_along(space, cut, span):
     """Ends of the hats: spaced by twice the local element size."""
     sub = space.subcells
     facets = np.flatnonzero(sub.lip_cut == cut)
@@ -150,7 +150,7 @@ def _knots(space, cut, span):
     return np.interp(np.linspace(0, count[-1], n + 1), count, arc)
 
 
-def _hats(arc, knots):
+def hats_at(arc, knots):
     """Piecewise linear hats (n_knots, q) at the arc positions (q,)."""
     k = np.clip(np.searchsorted(knots, arc, side="right") - 1, 0, len(knots) - 2)
     t = (arc - knots[k]) / (knots[k + 1] - knots[k])
