@@ -1,106 +1,164 @@
-"""The motion as an ITK transform: gaps bridged or extended, points carried as the warp carries pixels, same bytes."""
+"""The motion on a grid: other programs resample and carry points as xfemnav does, in every plane and storage order."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import SimpleITK as sitk
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.ndimage import distance_transform_edt
 
-from data_synthetic import files
-from data_synthetic.phantom import Grid, Phantom, perfect_solution
+from data_synthetic.phantom import TIP
+from tests.motions import GRID, LAS, MIXED, MOVED, REST, SCENES, THICKNESS, finer, landing, slice_in
+from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.imaging.gaps import NOWHERE
 from xfemnav.imaging.hdf5 import without_times
-from xfemnav.imaging.reading import read_image
-from xfemnav.imaging.slices import take_slice
-from xfemnav.imaging.transform import LPS, NOWHERE, bridged, extended, itk_transform, write_transform
-from xfemnav.imaging.warp import covered, pull_back, sample
+from xfemnav.imaging.slices import to_nifti
+from xfemnav.imaging.transform import MARGIN, backward, forward, itk_transform, roomy, write_transform
+from xfemnav.imaging.vectors import LPS
+from xfemnav.imaging.warp import covered, pull_back
 
-GRID = Grid((100, 130), (2.0, 1.6), "LAS", slope=0.05)
-
-
-@pytest.fixture(scope="module")
-def phantom():
-    return Phantom(grid=GRID)
+# Headers of NIfTI hold float32, 1e-5 mm at 100 mm; the promise is a hundred times wider.
+EXACT = 1e-3
+FIELDS = {gaps: backward(slice_in(), REST, REST, MOVED, gaps) for gaps in ("bridged", "extended")}
+MOTION = pull_back(REST, MOVED, GRID.origin, GRID.spacing, GRID.shape)
 
 
-@pytest.fixture(scope="module")
-def motion(phantom):
-    return pull_back(*perfect_solution(phantom, 360, 30), GRID.origin, GRID.spacing, GRID.shape)
+def carried(transform, slice, points, off=0.0) -> np.ndarray:
+    """Plane points (n, 2) mm that ITK's transform makes of `points` (n, 2) `off` mm off the plane."""
+    world = (slice.to_world(points) + off * slice.axes[2]) * LPS
+    plane, distance = slice.from_world(np.array([transform.TransformPoint(p.tolist()) for p in world]) * LPS)
+    assert_allclose(distance, off, atol=1e-6)    # nothing leaves its plane; fields in files are float32
+    return plane
 
 
-@pytest.fixture(scope="module")
-def empty(phantom, motion):
-    rest, _ = perfect_solution(phantom, 360, 30)
-    return covered(rest, GRID.origin, GRID.spacing, GRID.shape) & ~motion.tissue
+@pytest.mark.parametrize("gaps", FIELDS)
+@pytest.mark.parametrize("scene", SCENES, ids=str)
+def test_itk_looks_where_the_tissue_of_each_pixel_rested(scene, gaps, tmp_path):
+    slice = slice_in(*scene)
+    assert_allclose([slice.origin, slice.spacing], [GRID.origin, GRID.spacing], atol=1e-9)
+    write_transform(tmp_path / "t.h5", slice, FIELDS[gaps])
+    found = landing(slice, sitk.ReadTransform(str(tmp_path / "t.h5")), tmp_path)
+    assert_allclose(found[MOTION.tissue], MOTION.resting[MOTION.tissue], atol=EXACT)
+    away = np.abs(FIELDS[gaps]).max(axis=-1) == NOWHERE
+    assert_array_equal(np.isnan(found[..., 0]), away)
 
 
-def taken(phantom, folder, oblique=0.0):
-    """The phantom's slice read back from its file."""
-    return take_slice(read_image(files.write(phantom, folder, oblique=oblique)["image"]))
+@pytest.mark.parametrize("gaps, at_lips", [("bridged", 0.5), ("extended", 0.15)])
+def test_between_the_pixels_tissue_is_off_by_a_part_of_a_pixel_at_lips_only(gaps, at_lips, tmp_path):
+    """Sampled four times as fine. At a lip across the axes both directions bridge, each at most a quarter pixel wrong;
+    extended, what is wrong there is the strain. So it is at the tip either way, where no pixel is in the gap. Away
+    from lips and outline: the second difference of the field, h^2 u'' / 8."""
+    slice = slice_in()
+    origin, spacing, grid = finer(slice, 4, 3)
+    found = landing(slice, itk_transform(slice, FIELDS[gaps]), tmp_path, grid)
+    motion = pull_back(REST, MOVED, origin, spacing, found.shape[:2])
+    error = np.linalg.norm(found - motion.resting, axis=-1) / GRID.spacing[0]
+    assert np.isfinite(error[motion.tissue]).all()    # no tissue is lost
+    steps = distance_transform_edt(motion.tissue) / 4    # pixels
+    from_tip = origin + np.moveaxis(np.indices(steps.shape), 0, -1) * spacing - TIP
+    at_tip = np.linalg.norm(from_tip, axis=-1) < 4 * GRID.spacing[0]    # u'' grows as r^-3/2
+    assert error[motion.tissue].max() < 0.5
+    assert error[motion.tissue & ~at_tip].max() < at_lips
+    assert error[(steps > 2) & ~at_tip].max() < 5e-3
 
 
-def test_the_bridge_is_linear_across_a_straight_gap():
-    """A strip moved up beyond a strip at rest: between them the field goes from one to the other in equal steps."""
-    low = np.array([[[-1, -1], [30, -1], [30, 9.5]], [[-1, -1], [30, 9.5], [-1, 9.5]]], float)
-    high = low * (1, -1) + np.array([0, 19.0])
-    rest, moved = np.concatenate([low, high]), np.concatenate([low, high + np.array([0, 4.0])])
-    pulled = pull_back(rest, moved, np.zeros(2), np.ones(2), (20, 20))
-    empty = ~pulled.tissue
-    field = bridged(pulled, empty)
-    assert_array_equal(np.flatnonzero(empty[7]), [10, 11, 12, 13])
-    assert_allclose(field[7, 9:15, 1], [0, -0.8, -1.6, -2.4, -3.2, -4], atol=1e-12)
-    assert_array_equal(field[~empty], pulled.field[~empty])
+def test_points_up_to_half_a_slice_off_the_plane_are_carried_and_none_of_the_next_slice(tmp_path):
+    slice = slice_in("coronal", 15, MIXED)
+    write_transform(tmp_path / "t.h5", slice, FIELDS["bridged"])
+    transform = sitk.ReadTransform(str(tmp_path / "t.h5"))
+    pixels = np.array([[50, 60], [70, 90], [30, 100]])
+    points = GRID.origin + GRID.spacing * pixels
+    there = points + FIELDS["bridged"][tuple(pixels.T)]
+    assert np.linalg.norm(there - points, axis=1).min() > 0.1
+    for off in (0, 0.4, -0.4, 0.5, -0.5):
+        assert_allclose(carried(transform, slice, points, off * THICKNESS), there, atol=1e-9)
+    for off in (1, -1):
+        assert_allclose(carried(transform, slice, points, off * THICKNESS), points, atol=1e-9)
 
 
-def test_a_bridge_stays_between_its_ends(motion, empty):
-    field = bridged(motion, empty)
-    assert np.isfinite(field).all()
-    for k in range(2):
-        assert field[..., k].min() >= motion.field[..., k].min() - 1e-12
-        assert field[..., k].max() <= motion.field[..., k].max() + 1e-12
+def test_forward_is_the_displacement_of_the_tissue_at_rest():
+    slice, tissue = slice_in(), PiecewiseAffineMap(REST, MOVED)
+    field, centres = forward(slice, REST, MOVED), slice_in().pixel_centres()
+    organ = covered(REST, GRID.origin, GRID.spacing, GRID.shape)
+    assert_array_equal(field[~organ], 0)
+    assert_allclose(field[organ], tissue.displacement(centres[organ]), atol=1e-6)
+    # and it leads back: the new place of a pixel's tissue rested at the pixel, but where tissue lies twice
+    back = tissue.to_preoperative((centres + field)[organ])
+    assert np.median(np.linalg.norm(back - centres[organ], axis=1)) < 1e-9
 
 
-def test_nothing_to_bridge(motion):
-    assert_array_equal(bridged(motion, np.zeros(GRID.shape, bool)), motion.field)
+def test_what_was_taken_out_does_not_move():
+    kept = np.linalg.norm(REST.mean(axis=1) - TIP, axis=1) > 15
+    slice = slice_in()
+    organ, left = (covered(x, GRID.origin, GRID.spacing, GRID.shape) for x in (REST, REST[kept]))
+    assert (organ & ~left).any()
+    assert_array_equal(forward(slice, REST[kept], MOVED[kept])[organ & ~left], 0)
+    field = backward(slice, REST, REST[kept], MOVED[kept], "extended")
+    hole = slice.pixel_centres() - TIP
+    assert (np.abs(field)[np.linalg.norm(hole, axis=-1) < 8] == NOWHERE).all()
 
 
-def test_tissue_is_extended_by_one_pixel_and_no_more(motion, empty):
-    field = extended(motion, empty)
-    away = np.abs(field).max(axis=-1) == NOWHERE
-    assert not away[~empty].any() and away.any()
-    ring = np.zeros_like(empty)
-    padded = np.pad(motion.tissue, 1)
-    for i, j in np.ndindex(3, 3):
-        ring |= padded[i:i + empty.shape[0], j:j + empty.shape[1]]
-    assert_array_equal(away, empty & ~ring)
-    assert_array_equal(field[~empty], motion.field[~empty])
+@pytest.mark.parametrize("storage", [LAS, MIXED], ids=str)
+def test_room_moves_no_pixel(storage):
+    """The larger slice has the same pixels at the same places, in its own coordinates and in the file's."""
+    slice = replace(slice_in("coronal", 15, storage), values=np.random.default_rng(1).random(GRID.shape))
+    points = np.array([GRID.origin - (7.1, 0), -GRID.origin + (0, 3.3)])
+    room = roomy(slice, points)
+    low = np.rint((slice.origin - room.origin) / slice.spacing).astype(int)
+    n1, n2 = GRID.shape
+    assert_array_equal(room.values[low[0]:low[0] + n1, low[1]:low[1] + n2], slice.values)
+    assert room.values.sum() == pytest.approx(slice.values.sum())
+    inside = (points - room.origin) / room.spacing
+    assert (inside >= MARGIN - 1e-9).all() and (inside <= np.array(room.values.shape) - 1 - MARGIN + 1e-9).all()
+    image = to_nifti(room, room.values, np.float64)
+    voxel = np.argwhere(image.get_fdata() == slice.values[5, 9])[0]
+    world = image.affine @ [*voxel, 1]
+    assert_allclose(world[:3], slice.to_world((slice.origin + slice.spacing * (5, 9))[None])[0], atol=1e-4)
+    assert_array_equal(roomy(slice, REST).values, slice.values)    # there is room already
 
 
-@pytest.mark.parametrize("oblique", [0.0, 30.0])
-def test_itk_resamples_as_the_warp_does(phantom, motion, empty, tmp_path, oblique):
-    slice = taken(phantom, tmp_path, oblique)
-    image = sitk.ReadImage(str(tmp_path / "sub-phantom_T1w.nii.gz"), sitk.sitkFloat64)
-    transform = itk_transform(slice, extended(motion, empty))
-    theirs = sitk.GetArrayFromImage(sitk.Resample(image, transform, sitk.sitkLinear, 0.0))[0].T[::-1]    # LAS
-    ours = sample(slice.values, slice.origin, slice.spacing, slice.pixel_centres() + motion.field)
-    # headers hold float32: 1e-5 mm at 100 mm, where the image changes by some 500 a mm
-    assert_allclose(theirs[motion.tissue], ours[motion.tissue], atol=5e-3)
-    deep = np.abs(extended(motion, empty)).max(axis=-1) == NOWHERE
-    assert (theirs[deep] == 0).all()
+def test_in_a_roomy_grid_tissue_that_leaves_the_image_is_carried(tmp_path):
+    slice, shift = slice_in(), np.array([60.0, 0.0])
+    moved = REST + shift
+    room = roomy(slice, moved)
+    transform = itk_transform(room, backward(room, REST, REST, moved))
+    point = np.array([[120.0, 5.0]])
+    assert point[0, 0] > -GRID.origin[0]
+    assert_allclose(carried(transform, slice, point), point - shift, atol=1e-9)
+    border = np.ones(room.values.shape, bool)
+    border[1:-1, 1:-1] = False
+    assert_array_equal(backward(room, REST, REST, moved)[border], 0)
 
 
-def test_the_file_carries_points_and_has_the_same_bytes(phantom, motion, empty, tmp_path):
-    slice, field = taken(phantom, tmp_path), bridged(motion, empty)
-    write_transform(tmp_path / "a.h5", slice, field)
+def test_nitransforms_carries_points_as_the_warp_does(tmp_path):
+    """Its points are RAS. On the pixels it takes the field as it is; off the plane it interpolates places by cubics
+    that are flat at the border, so that along the normal it is off by a tenth of the thickness."""
+    manip = pytest.importorskip("nitransforms.manip")
+    slice = slice_in("sagittal", 25, MIXED)
+    write_transform(tmp_path / "t.h5", slice, FIELDS["bridged"])
+    chain = manip.TransformChain.from_filename(str(tmp_path / "t.h5"), fmt="itk")
+    world = slice.to_world(slice.pixel_centres()[MOTION.tissue])
+    assert_allclose(chain.map(world), slice.to_world(MOTION.resting[MOTION.tissue]), atol=EXACT)
+    for off in (0.5 * THICKNESS, -0.5 * THICKNESS):
+        plane, distance = slice.from_world(chain.map(world + off * slice.axes[2]))
+        assert_allclose(plane, MOTION.resting[MOTION.tissue], atol=EXACT)
+        assert_allclose(distance, off, atol=0.1 * THICKNESS)
+
+
+def test_the_same_field_gives_the_same_bytes(tmp_path):
+    slice = slice_in()
+    write_transform(tmp_path / "a.h5", slice, FIELDS["bridged"])
     time.sleep(1.1)    # HDF5 counts seconds
-    write_transform(tmp_path / "b.h5", slice, field)
+    write_transform(tmp_path / "b.h5", slice, FIELDS["bridged"])
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
-    transform = sitk.ReadTransform(str(tmp_path / "a.h5"))
-    assert transform.GetName() == "CompositeTransform"
-    for i, j in ((50, 60), (70, 90), (30, 100)):
-        point = slice.to_world((slice.origin + slice.spacing * (i, j))[None])[0]
-        wanted = point + field[i, j] @ slice.axes[:2]
-        assert_allclose(LPS * transform.TransformPoint((LPS * point).tolist()), wanted, atol=1e-9)
+    assert sitk.ReadTransform(str(tmp_path / "a.h5")).GetName() == "CompositeTransform"
+
+
+def test_gaps_have_two_names():
+    with pytest.raises(ValueError, match="bridged or extended"):
+        backward(slice_in(), REST, REST, MOVED, "open")
 
 
 def test_letters_without_a_checksum_are_left_alone():

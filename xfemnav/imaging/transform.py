@@ -1,76 +1,75 @@
-"""The motion for other programs: as an ITK transform from the new image to the old one, which has no word for a gap.
+"""The motion for other programs: fields on a grid, of the new image to the old one and back, and ITK's transform file.
 
-A displacement field has a value at every pixel, also in an opened cut, where nothing rested. Two ways to fill it:
-bridged from lip to lip, which any viewer shows without a jump but which draws stretched lips across the gap; or the
-lips' own values one pixel on and beyond them a displacement out of the image, so that resampling gives background
-there.
+Both directions come from the triangles: neither is the other one inverted. A field on a grid has one value a pixel, so
+it is not the motion itself, which has two on a cut; that is what the mesh with doubled lips and `Result` are for.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import SimpleITK as sitk
-from scipy import sparse
-from scipy.ndimage import distance_transform_edt
-from scipy.sparse.linalg import splu
 
+from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.imaging.gaps import bridged, extended
 from xfemnav.imaging.hdf5 import without_times
 from xfemnav.imaging.slices import Slice
-from xfemnav.imaging.warp import PullBack
+from xfemnav.imaging.vectors import vector_image
+from xfemnav.imaging.warp import covered, pull_back
 
-NOWHERE = 1e4    # mm, farther than any image reaches
-LPS = np.array([-1.0, -1.0, 1.0])
+MARGIN = 2    # pixels of nothing around the tissue: a field that ends with 0 is the same to all, however they go on
 
 
-def bridged(motion: PullBack, empty) -> np.ndarray:
-    """The field (n1, n2, 2) mm of `motion` with a harmonic bridge over the pixels `empty` (n1, n2) bool.
+def roomy(slice: Slice, points) -> Slice:
+    """`slice` with so many pixels added that the `points` (..., 2) mm keep MARGIN pixels from its border.
 
-    Between two near lips that is linear from one to the other. Around it the tissue's field and, outside, 0 are kept.
+    Beyond a field's pixels ITK leaves points where they are, 3D Slicer goes on with the last value: neither may happen
+    to tissue. No pixel is taken away, because there are readers that take places outside of a field for others in it.
     """
-    field = motion.field.copy()
-    places = np.argwhere(empty)
-    if not len(places):
-        return field
-    number = np.full(empty.shape, -1)
-    number[empty] = np.arange(len(places))
-    diagonal, right, links = np.zeros(len(places)), np.zeros((len(places), 2)), []
-    for step in np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]):
-        weight = (step**2 / motion.spacing**2).sum()
-        k = np.flatnonzero(((places + step >= 0) & (places + step < empty.shape)).all(axis=1))
-        there = tuple((places[k] + step).T)
-        known = number[there] < 0
-        diagonal[k] += weight
-        right[k] += weight * np.where(known[:, None], field[there], 0)
-        links.append(np.column_stack([k, number[there], np.full(len(k), -weight)])[~known])
-    rows, columns, values = np.concatenate(links).T
-    laplacian = sparse.csc_array((values, (rows.astype(int), columns.astype(int))), (len(places),) * 2)
-    field[empty] = splu(laplacian + sparse.diags_array(diagonal, format="csc")).solve(right)
-    return field
+    n = np.array(slice.values.shape)
+    pixels = (np.asarray(points, float).reshape(-1, 2) - slice.origin) / slice.spacing
+    before = np.maximum(np.ceil(MARGIN - pixels.min(axis=0)), 0).astype(int)
+    after = np.maximum(np.ceil(pixels.max(axis=0) + MARGIN - (n - 1)), 0).astype(int)
+    affine = slice.affine.copy()
+    for k in (0, 1):
+        affine[:3, 3] -= (after if slice.flipped[k] else before)[k] * affine[:3, slice.array_axes[k]]
+    return replace(slice, values=np.pad(slice.values, np.column_stack([before, after])),
+                   origin=slice.origin - before * slice.spacing, affine=affine)
 
 
-def extended(motion: PullBack, empty) -> np.ndarray:
-    """The field (n1, n2, 2) mm of `motion`; pixels `empty` (n1, n2) bool go with tissue next to them, or NOWHERE."""
-    field = motion.field.copy()
-    steps, nearest = distance_transform_edt(~motion.tissue, return_indices=True)
-    rim = empty & (steps < 1.5)    # neighbours, also across a corner
-    field[empty] = NOWHERE
-    field[rim] = motion.field[tuple(nearest[:, rim])]
-    return field
+def backward(slice: Slice, organ, rest, moved, gaps: str = "bridged") -> np.ndarray:
+    """Where the tissue in each pixel of `slice` rested minus where it is now, (n1, n2, 2) mm, from triangles at `rest`
+    and `moved`, both (t, 3, 2) mm.
+
+    Pixels of the `organ`, triangles (m, 3, 2) mm at rest, that hold no tissue now are `gaps`, "bridged" or "extended"
+    (see `imaging.gaps`). What is neither organ nor tissue is 0.
+    """
+    grid = slice.origin, slice.spacing, slice.values.shape
+    motion = pull_back(rest, moved, *grid)
+    empty = covered(organ, *grid) & ~motion.tissue
+    if gaps == "extended":
+        return extended(motion, empty)
+    if gaps == "bridged":
+        return bridged(motion, empty, PiecewiseAffineMap(rest, moved))
+    raise ValueError(f"gaps is {gaps!r}, wanted bridged or extended")
+
+
+def forward(slice: Slice, rest, moved) -> np.ndarray:
+    """Displacement (n1, n2, 2) mm of the tissue that rested at each pixel centre of `slice`; 0 where none is left.
+
+    The triangles as in `backward`. Exact at the centres; whoever interpolates between two of them across a cut gets
+    something between the motions of its lips.
+    """
+    return pull_back(moved, rest, slice.origin, slice.spacing, slice.values.shape).field
 
 
 def itk_transform(slice: Slice, field) -> sitk.CompositeTransform:
     """Transform of world points (LPS mm, as ITK counts) from the new image to the old one, by `field` (n1, n2, 2) mm.
 
-    It holds in the slice; outside of its pixels ITK leaves points where they are. A composite, because there are
-    readers that skip the first transform of a file and expect its parts behind it.
+    It holds for points up to half a slice off the plane and in the slice's pixels; ITK leaves all others where they
+    are. A composite, because there are readers that skip the first transform of a file and expect its parts behind it.
     """
-    vectors = np.asarray(field) @ slice.axes[:2] * LPS
-    image = sitk.GetImageFromArray(np.ascontiguousarray(vectors.swapaxes(0, 1)[None], float), isVector=True)
-    e1, e2, _ = slice.axes * LPS
-    image.SetOrigin((slice.to_world(slice.origin[None])[0] * LPS).tolist())
-    image.SetSpacing([*slice.spacing.tolist(), slice.thickness])
-    image.SetDirection(np.column_stack([e1, e2, np.cross(e1, e2)]).ravel().tolist())
-    return sitk.CompositeTransform([sitk.DisplacementFieldTransform(image)])
+    return sitk.CompositeTransform([sitk.DisplacementFieldTransform(vector_image(slice, field))])
 
 
 def write_transform(path, slice: Slice, field) -> None:
