@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
-from xfemnav.imaging.reading import file_digest, read_components, read_image
+from xfemnav.imaging.reading import content_digest, read_components, read_image
 from xfemnav.imaging.slices import take_slice, to_nifti
 
 AFFINE = np.array([[0.9, 0, 0, -40], [0, 1.1, 0, -50], [0, 0, 2.0, 7], [0, 0, 0, 1]])
@@ -75,7 +75,7 @@ def test_digest_is_of_the_content_and_not_of_the_file(tmp_path):
     # NIfTI-2 holds the affine in float64, so its digits differ from the float32 ones.
     assert len({image.digest for name, image in zip(same, images) if name != "d.nii"}) == 1
     assert len({image.file_digest for image in images}) == len(same)
-    assert images[0].file_digest == file_digest(tmp_path / "a.nii")
+    assert images[0].file_digest == content_digest(tmp_path / "a.nii")
     coded = replace(images[0], frame_code=4)  # the outputs carry the code
     assert coded.digest != images[0].digest
     changed = volume()
@@ -128,7 +128,7 @@ def test_components_are_all_values_of_a_voxel(tmp_path, shape, n, intent):
     np.testing.assert_array_equal(components.values, 0.5 * volume(shape).reshape(5, 4, 3, n))
     np.testing.assert_allclose(components.affine, AFFINE, atol=1e-6)  # float32
     assert (components.intent, components.dtype, components.name) == (intent, "int16", "image.nii.gz")
-    assert components.file_digest == file_digest(path) and not components.values.flags.writeable
+    assert components.file_digest == content_digest(path) and not components.values.flags.writeable
     for k in range(n):
         np.testing.assert_array_equal(components.values[..., k], read_image(path, volume=k).values)
 

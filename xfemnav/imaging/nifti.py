@@ -5,37 +5,17 @@ The header is checked field by field before any voxel is touched, because reader
 Field meanings: NIfTI-1.1 and NIfTI-2 header files, https://nifti.nimh.nih.gov.
 """
 
-import math
-from typing import NamedTuple
-
 import nibabel
 import numpy as np
 
 from xfemnav.errors import XfemnavError
+from xfemnav.imaging.formats import Header, check_affine
 
 SCALAR_TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
 COLOUR_TYPES = {128: "RGB", 2304: "RGBA"}
 COMPLEX_TYPES = {32: "complex64", 1792: "complex128", 2048: "complex256"}
 MM_PER_UNIT = {1: 1e3, 3: 1e-3}  # metre, micron; 0 (unknown) and 2 are mm
-VOXEL_MM, ORIGIN_MM = (1e-3, 1e3), 1e6  # beyond these no position in a body keeps its meaning in float64
-
-
-class Header(NamedTuple):
-    """What a header says of its voxels: `shape` (3 axes or more), stored `dtype`, byte `offset` in the file,
-    `slope` and `inter` of value = slope * stored + inter, and NIfTI's code of what the values are (0: not said)."""
-
-    shape: tuple[int, ...]
-    dtype: np.dtype
-    offset: int
-    slope: float
-    inter: float
-    intent: int = 0
-
-    @property
-    def n_bytes(self) -> int:
-        """Length of the whole file, bytes."""
-        return self.offset + math.prod(self.shape) * self.dtype.itemsize
-
+NO_POSITION = "its qform and sform codes are 0"
 
 _KINDS = {348: (nibabel.Nifti1Header, b"n+1\0"), 540: (nibabel.Nifti2Header, b"n+2\0")}
 
@@ -118,20 +98,3 @@ def _offset(raw, name: str) -> int:
         raise XfemnavError("E105", f"voxels of {name} are said to start at byte {offset:g}, before byte {least} or "
                                    "past any file's end. Convert it again from its source.")
     return int(offset)
-
-
-def check_affine(affine: np.ndarray, name: str) -> None:
-    """Raise E110 unless `affine` (4, 4) gives every voxel of `name` a position in mm and back."""
-    sizes = np.linalg.norm(affine[:3, :3], axis=0)
-    usable = (np.isfinite(affine).all() and (sizes > VOXEL_MM[0]).all() and (sizes < VOXEL_MM[1]).all()
-              and (abs(affine[:3, 3]) < ORIGIN_MM).all() and abs(np.linalg.det(affine[:3, :3] / sizes)) > 1e-6)
-    if not usable:
-        rows = "; ".join(" ".join(f"{x:.4g}" for x in row) for row in affine[:3])
-        raise XfemnavError("E110", f"affine of {name} cannot be used: rows {rows} give voxels no size or no position "
-                                   "in mm. Fix its header, or give the pixel sizes: --spacing 0.9,0.9.")
-
-
-def voxels(header: Header, data: bytes) -> np.ndarray:
-    """Stored voxels, `header.shape`, unscaled, as a read-only view of the file's bytes `data`."""
-    flat = np.frombuffer(data, header.dtype, math.prod(header.shape), header.offset)
-    return flat.reshape(header.shape, order="F")

@@ -2,7 +2,8 @@
 
 A file is opened once, as a regular file, and its bytes are read once: gunzipped to the end of the trailer (nibabel
 never reads the CRC), never further than the header allows, then decoded. The format is told by the content, not by
-the name. A damaged file gives an error, never voxels.
+the name. A damaged file gives an error, never voxels. NIfTI, NRRD, MetaImage and FreeSurfer's MGH are files (a header
+may name one data file beside it); a DICOM series is a folder. Whatever frame a format uses, positions come out as RAS.
 """
 
 import gzip
@@ -10,10 +11,9 @@ import hashlib
 import io
 import math
 import os
-import stat
-import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,13 +21,10 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging import nifti
+from xfemnav.imaging import content, dicom, formats, metaimage, mgh, nifti, nrrd, series
 
-# A format is a module with recognises(head), read_header(head, name), read_frame(head, name), voxels(header, data).
-FORMATS = (nifti,)
-HEAD = 4096  # bytes that tell the format and hold its header
-CHUNK = 1 << 22
-GZIP_MAGIC = b"\x1f\x8b"
+FORMATS = (nifti, nrrd, metaimage, mgh)  # what a format gives: `formats`
+HEAD = 1 << 18  # bytes that tell the format and hold its header, however many keys a NRRD has
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +32,7 @@ class Image:
     """One scalar volume: `values` (ni, nj, nk) in storage order, `affine` (4, 4) voxel -> RAS mm.
 
     `frame_code` is the header's sform or qform code (0: the file states no position), `dtype` the stored type's
-    name, `file_digest` the sha256 of the file as it lies on the disk, `name` its name for messages.
+    name, `file_digest` the `content_digest` of what lies on the disk, `name` its name for messages.
     """
 
     values: np.ndarray
@@ -52,7 +49,7 @@ class Image:
     @cached_property
     def digest(self) -> str:
         """sha256 over decoded voxels, affine and its code: one content, one digest, under any name or compression."""
-        return _content_digest((*self.values.shape, self.frame_code), self.affine, self.values)
+        return _values_digest((*self.values.shape, self.frame_code), self.affine, self.values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +75,14 @@ class Components:
     @cached_property
     def digest(self) -> str:
         """sha256 over decoded values, affine and intent: one content, one digest, under any name or compression."""
-        return _content_digest((*self.values.shape, self.intent), self.affine, self.values)
+        return _values_digest((*self.values.shape, self.intent), self.affine, self.values)
 
 
-def _content_digest(facts: tuple, affine: np.ndarray, values: np.ndarray) -> str:
-    content = hashlib.sha256(repr(facts).encode())
-    content.update(affine.astype("<f8"))
-    content.update(values.astype("<f8", copy=False))
-    return content.hexdigest()
+def _values_digest(facts: tuple, affine: np.ndarray, values: np.ndarray) -> str:
+    digest = hashlib.sha256(repr(facts).encode())
+    digest.update(affine.astype("<f8"))
+    digest.update(values.astype("<f8", copy=False))
+    return digest.hexdigest()
 
 
 def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None) -> Image:
@@ -94,9 +91,13 @@ def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None) 
     `volume`: which one of a 4-D file. `nan`: the value to put where voxels are NaN or infinite.
     `spacing` (2 or 3 numbers, mm): use these pixel sizes instead of the header's frame, voxel 0 at the origin.
     Raises E100 (cannot be opened), E101 (damaged), E102 (too large), E103 (NaN), E105 (header), E106 (no image),
-    E110 (affine), E121 (4-D), E122 (colour, complex); warns W104 (scaling), W107 (name), W112 (no position).
+    E110 (affine), E121 (4-D), E122 (colour, complex, vectors), and for a folder E123 (several series) and E124 (its
+    slices make no volume); warns W104 (scaling), W107 (name), W112 (no position), W113 (files skipped in a folder).
     """
     stored = _stored(path, int(max_memory_gb * 1e9), spacing)
+    if stored.header.vector:
+        raise XfemnavError("E122", f"{stored.name} holds {stored.header.shape[3]} components a voxel; give one scalar "
+                                   "intensity a voxel.")
     values = _scaled(_one_volume(stored.voxels, volume, stored.name), stored)
     return Image(_finite(values, nan, stored.name), stored.affine, stored.header.dtype.name, stored.frame_code,
                  stored.file_digest, stored.name)
@@ -116,7 +117,7 @@ def read_components(path, *, nan=None, max_memory_gb=4.0) -> Components:
 class _Stored(NamedTuple):
     """What a file holds, checked: its `header`, `voxels` (ni, nj, nk, ...) unscaled, `affine` (4, 4) and its code."""
 
-    header: NamedTuple
+    header: formats.Header
     voxels: np.ndarray
     affine: np.ndarray
     frame_code: int
@@ -124,85 +125,106 @@ class _Stored(NamedTuple):
     name: str
 
 
+class _Source(NamedTuple):
+    """What lies at a path, its header checked, its voxels not yet touched: `frame()` gives the affine and its code,
+    `voxels()` what is stored; `no_position` says why the code may be 0."""
+
+    header: formats.Header
+    frame: Callable
+    voxels: Callable
+    no_position: str
+    file_digest: str
+
+
 def _stored(path, limit: int, spacing=None, all_volumes=False) -> _Stored:
-    """The file at `path`, decoded; all its volumes, or one of them, must fit into `limit` bytes in float64."""
-    name = Path(path).name
-    packed = _file_bytes(path, limit)
-    zipped = packed.startswith(GZIP_MAGIC)
-    if zipped != name.lower().endswith(".gz"):
+    """The image at `path`, decoded; all its volumes, or one of them, must fit into `limit` bytes in float64."""
+    name = Path(path).name or str(path)
+    source = (_folder if os.path.isdir(path) else _file)(Path(path), limit, name)
+    affine, code = source.frame() if spacing is None else (_plain_affine(spacing, name), 0)
+    if code == 0 and spacing is None:
+        warn("W112", f"{name} states no position: {source.no_position}. Do not trust positions in mm; use "
+                     "--space voxel.")
+    _check_size(source.header, limit, name, all_volumes)
+    return _Stored(source.header, source.voxels(), affine, code, source.file_digest, name)
+
+
+def _file(path: Path, limit: int, name: str) -> _Source:
+    packed = content.file_bytes(path, limit)
+    zipped = packed.startswith(content.GZIP_MAGIC)
+    if zipped != name.lower().endswith((".gz", ".mgz")):
         warn("W107", f"{name} is {'' if zipped else 'not '}gzip, whatever its name says; read by its content.")
-    stream = gzip.GzipFile(fileobj=io.BytesIO(packed)) if zipped else io.BytesIO(packed)
-    head = _read(stream, HEAD, name)
+    head, stream = content.opened(packed, name, HEAD)
     form = _format_of(head, name)
     header = form.read_header(head, name)
-    affine, code = form.read_frame(head, name) if spacing is None else (_plain_affine(spacing, name), 0)
-    if code == 0 and spacing is None:
-        warn("W112", f"{name} states no position (its qform and sform codes are 0): pixel sizes alone give its frame. "
-                     "Do not trust positions in mm; use --space voxel.")
-    _check_size(header, limit, name, all_volumes)
-    data = head + _read(stream, header.n_bytes + 1 - len(head), name)
-    _check_length(len(data), header.n_bytes, name)
-    return _Stored(header, form.voxels(header, data), affine, code, hashlib.sha256(packed).hexdigest(), name)
+    beside = content.file_bytes(path.parent / header.data_file, limit) if header.data_file else b""
+
+    def voxels() -> np.ndarray:
+        if header.data_file:
+            data = _voxel_bytes(header, b"", io.BytesIO(beside), limit, header.data_file)
+        else:
+            data = _voxel_bytes(header, head, stream, limit, name)
+        if header.tail:
+            form.check_tail(bytes(data[header.n_bytes :]), name)
+        return formats.voxels(header, data)
+
+    parts = {name: packed} | ({header.data_file: beside} if header.data_file else {})
+    return _Source(header, partial(form.read_frame, head, name), voxels, form.NO_POSITION, content.parts_digest(parts))
 
 
-def file_digest(path, *, max_memory_gb=4.0) -> str:
-    """sha256 of the bytes of the regular file at `path`, without decoding them. Raises E100, E102, E106."""
-    return hashlib.sha256(_file_bytes(path, int(max_memory_gb * 1e9))).hexdigest()
+def _folder(path: Path, limit: int, name: str) -> _Source:
+    """The one DICOM series in a folder. Files that are no DICOM are not kept, but count in the digest."""
+    hashes, files, n_bytes = {}, {}, 0
+    for file, data in content.each_file(path, limit):
+        hashes[file] = hashlib.sha256(data).digest()
+        files[file] = data if dicom.recognises(data) else b""
+        n_bytes += len(files[file])
+        if n_bytes > limit:
+            raise XfemnavError("E102", f"the files of {name} hold more than the limit of {content.size(limit)}; raise "
+                                       "it with --max-memory if the folder is right.")
+    found = series.read_series(path, files)
+    return _Source(found.header, found.frame, found.voxels, series.NO_POSITION, content.listed_digest(hashes))
 
 
-def _file_bytes(path, limit: int) -> bytes:
-    """Bytes of a regular file of at most `limit` bytes; a pipe or device is never waited for."""
-    name = Path(path).name or str(path)
-    try:
-        # O_NONBLOCK: a pipe that nobody writes to opens at once, and is then refused as what it is.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise XfemnavError("E100", f"cannot open {path}: {reason}. Correct the path.") from None
-    try:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise XfemnavError("E106", f"{path} is a folder, pipe or device, not a file; give an image file (.nii.gz).")
-        if status.st_size == 0:
-            raise XfemnavError("E106", f"{name} is empty (0 bytes); copy it again.")
-        if status.st_size > limit:
-            raise XfemnavError("E102", f"{name} holds {_size(status.st_size)}, over the limit of {_size(limit)}; "
-                                       "raise it with --max-memory if the file is right.")
-        with os.fdopen(handle, "rb", closefd=False) as file:
-            return file.read(status.st_size)
-    except OSError as error:
-        raise XfemnavError("E101", f"cannot read {name}: {error.strerror}. Copy it again.") from None
-    finally:
-        os.close(handle)
+def content_digest(path, *, max_memory_gb=4.0) -> str:
+    """sha256 of what lies at `path`, without decoding its voxels; equals the `file_digest` of the image read there.
+
+    Of a file, its bytes; where its header names a data file beside it, or of a folder, names and bytes of all files.
+    Raises E100, E102, E106, and what the header of an image raises.
+    """
+    limit, path = int(max_memory_gb * 1e9), Path(path)
+    if os.path.isdir(path):
+        files = content.each_file(path, limit)
+        return content.listed_digest({file: hashlib.sha256(data).digest() for file, data in files})
+    packed = content.file_bytes(path, limit)
+    head, _ = content.opened(packed, path.name, HEAD)
+    form = next((form for form in FORMATS if form.recognises(head)), None)
+    beside = form.read_header(head, path.name).data_file if form else ""
+    parts = {beside: content.file_bytes(path.parent / beside, limit)} if beside else {}
+    return content.parts_digest({path.name: packed} | parts)
+
+
+def _voxel_bytes(header, head: bytes, stream, limit: int, name: str) -> memoryview:
+    """Bytes of the voxels, and of what may follow them, from a file's first bytes `head` and the `stream` after it."""
+    start = header.offset
+    if header.packing:
+        packed = head + content.read(stream, limit, name)
+        unpacked = io.BytesIO(packed[start:])
+        stream = gzip.GzipFile(fileobj=unpacked) if header.packing == "gzip" else content.Zlib(packed[start:])
+        head, start = b"", 0
+    wanted = start + header.n_bytes
+    data = head + content.read(stream, wanted + header.tail + 1 - len(head), name)
+    _check_length(len(data), wanted, header.tail, name)
+    return memoryview(data)[start:]
 
 
 def _format_of(head: bytes, name: str):
     for form in FORMATS:
         if form.recognises(head):
             return form
-    raise XfemnavError("E106", f"the content of {name} is no image that xfemnav knows; give NIfTI (.nii, .nii.gz).")
-
-
-def _read(stream, n_bytes: int, name: str) -> bytes:
-    """At most `n_bytes` of a stream, in chunks: memory follows what is there, not what a header claims.
-
-    A gzip stream that comes to its end has its CRC and length checked. Raises E101.
-    """
-    parts, missing = [], n_bytes
-    try:
-        while missing > 0 and (part := stream.read(min(CHUNK, missing))):
-            parts.append(part)
-            missing -= len(part)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise XfemnavError("E101", f"{name} is damaged: {error} (after {n_bytes - missing} of {n_bytes} bytes). "
-                                   f"Copy it again; check with: gzip -t {name}") from None
-    return b"".join(parts)
-
-
-def _size(n_bytes: int) -> str:
-    """Human-readable size: 17.4 kB, 141 TB."""
-    power = min(int(math.log10(max(n_bytes, 1)) / 3), 5)
-    return f"{n_bytes / 1e3**power:.4g} {('bytes', 'kB', 'MB', 'GB', 'TB', 'PB')[power]}"
+    if dicom.recognises(head):
+        raise XfemnavError("E106", f"{name} is one DICOM file; give the folder that holds its series, and no other.")
+    raise XfemnavError("E106", f"the content of {name} is no image that xfemnav knows; give NIfTI (.nii, .nii.gz), "
+                               "NRRD, MetaImage, MGH, or the folder of a DICOM series.")
 
 
 def _check_size(header, limit: int, name: str, all_volumes: bool) -> None:
@@ -211,14 +233,15 @@ def _check_size(header, limit: int, name: str, all_volumes: bool) -> None:
     # As stored, and what is returned in float64.
     needed = header.n_bytes + 8 * math.prod(header.shape if all_volumes else header.shape[:3])
     if needed > limit:
-        raise XfemnavError("E102", f"header of {name} claims {shape} voxels, {_size(needed)} in memory; the limit is "
-                                   f"{_size(limit)} and nothing was read. Raise --max-memory if the header is right.")
+        raise XfemnavError("E102", f"header of {name} claims {shape} voxels, {content.size(needed)} in memory; the "
+                                   f"limit is {content.size(limit)} and nothing was read. Raise --max-memory if the "
+                                   "header is right.")
 
 
-def _check_length(n_bytes: int, wanted: int, name: str) -> None:
+def _check_length(n_bytes: int, wanted: int, tail: int, name: str) -> None:
     if n_bytes < wanted:
         raise XfemnavError("E101", f"{name} is damaged: it ends after {n_bytes} of {wanted} bytes. Copy it again.")
-    if n_bytes > wanted:
+    if n_bytes > wanted + tail:
         raise XfemnavError("E102", f"{name} holds more than the {wanted} bytes that its header describes, so its "
                                    "dimensions are wrong. Convert it again from its source.")
 
@@ -266,5 +289,5 @@ def _finite(values: np.ndarray, nan, name: str) -> np.ndarray:
 def _plain_affine(spacing, name: str) -> np.ndarray:
     """Affine (4, 4) of pixel sizes alone: array axes along R, A, S, voxel 0 at the origin."""
     affine = np.diag([*spacing, *[1.0] * (4 - len(spacing))])
-    nifti.check_affine(affine, name)
+    formats.check_affine(affine, name)
     return affine
