@@ -1,0 +1,167 @@
+"""Points as text, one a line: 3D Slicer's .fcsv, the .csv of ANTs, the .tag of MINC.
+
+Each reader takes the text of a file, its name for messages and the stem that the points are called by, and raises
+E308; each writer gives the text. A coordinate is a decimal number: no NaN, no infinity, nothing else that Python's
+float takes.
+"""
+
+import csv
+import io
+import re
+
+import numpy as np
+
+from xfemnav.imaging.points import LPS, RAS, PointSet, point_set, shown, unusable
+
+NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")  # linear in time
+LINE_END = re.compile(r"\r\n?|\n")
+NO_LABEL = re.compile(r"[\x00-\x1f\x7f\x85\u2028\u2029]+")  # what a label on one line cannot hold
+FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
+FCSV_FRAMES = {"0": RAS, "RAS": RAS, "1": LPS, "LPS": LPS}
+QUOTED = r'"(?:\\.|[^"\\\n])*"?'  # one that is not closed ends with its line
+TAG_COMMENT = re.compile(rf"({QUOTED})|[%#][^\n]*")
+TAG_TOKEN = re.compile(rf'{QUOTED}|;|[^\s";]+')
+TAG_HEAD = "MNI Tag Point File"
+
+
+def read_fcsv(text: str, file: str, stem: str) -> PointSet:
+    """Fiducials of a .fcsv file of Slicer 4 (CoordinateSystem = 0) or 5 (LPS), whose columns may be fewer."""
+    header, rows = {}, []
+    for number, line in enumerate(LINE_END.split(text), 1):
+        if line.startswith("#"):
+            key, _, value = line[1:].partition("=")
+            header[key.strip().lower()] = value.strip()
+        elif line.strip():
+            rows.append((number, _fields(line, number, file)))
+    frame = header.get("coordinatesystem", "").upper()
+    if frame not in FCSV_FRAMES:
+        what = ("counts in voxels of an image that it does not name (CoordinateSystem IJK). Save it in LPS."
+                if frame in ("2", "IJK") else
+                f"does not say its frame (CoordinateSystem {shown(frame)}). Write '# CoordinateSystem = LPS' or RAS at "
+                "its top.")
+        raise unusable(file, what)
+    names = [name.strip().lower() for name in header.get("columns", FCSV_COLUMNS).split(",")]
+    places = _places(names, "xyz", file)
+    points = [_coordinates([_at(fields, k) for k in places], number, file) for number, fields in rows]
+    labels = [_at(fields, names.index("label")) if "label" in names else "" for _, fields in rows]
+    return point_set("Fiducial", stem, np.reshape(points, (-1, 3)) * FCSV_FRAMES[frame] + 0.0, labels, file)
+
+
+def read_csv(text: str, file: str, stem: str) -> PointSet:
+    """Points of a .csv file with a header: x,y,z are LPS, as ANTs and ITK count; r,a,s are RAS.
+
+    A column `label` holds the labels, every other one is kept in `columns`.
+    """
+    lines = csv.reader(io.StringIO(text, newline=""))
+    try:
+        table = [(lines.line_num, row) for row in lines if any(row)]
+    except csv.Error as error:
+        raise unusable(file, f"is no CSV: {error}.") from None
+    header = [name.strip() for name in table[0][1]] if table else []
+    names, rows = [name.lower() for name in header], table[1:]
+    frames = [axes for axes in ("xyz", "ras") if set(axes) <= set(names)]
+    if len(frames) != 1 or len(set(names)) < len(names):
+        raise unusable(file, f"starts with {shown(','.join(header))}; its first line must name its columns: x,y,z "
+                             "(LPS) or r,a,s (RAS), and label if there are some.")
+    places = _places(names, frames[0], file)
+    points = [_coordinates([_at(row, k) for k in places], number, file) for number, row in rows]
+    texts = {name: tuple(_at(row, k) for _, row in rows) for k, name in enumerate(header) if k not in places}
+    label = next((name for name in texts if name.lower() == "label"), None)
+    labels = texts.pop(label) if label else [""] * len(rows)
+    signs = LPS if frames[0] == "xyz" else RAS
+    return point_set("points", stem, np.reshape(points, (-1, 3)) * signs + 0.0, labels, file, texts)
+
+
+def read_tag(text: str, file: str, stem: str) -> PointSet:
+    """Points of a MINC .tag file, world RAS mm: those in the first volume, when there are two."""
+    text = TAG_COMMENT.sub(lambda match: match[1] or "", LINE_END.sub("\n", text))
+    volumes = re.search(r"^[ \t]*Volumes\s*=\s*([12])\s*;", text, re.MULTILINE)
+    start = re.search(r"^[ \t]*Points\s*=", text, re.MULTILINE)
+    if not text.lstrip().startswith(TAG_HEAD) or not volumes or not start:
+        raise unusable(file, f"does not have the lines '{TAG_HEAD}', 'Volumes = 1;' (or 2) and 'Points =' of a .tag "
+                             "file. Write it again.")
+    wanted, first = 3 * int(volumes[1]), text.count("\n", 0, start.end()) + 1
+    points, labels = [], []
+    for number, line in enumerate(text[start.end():].split("\n"), first):
+        tokens = TAG_TOKEN.findall(line)
+        record = tokens[:tokens.index(";")] if ";" in tokens else tokens
+        if record:
+            # numbers, perhaps weight, structure and patient, perhaps a label
+            if len(record) - wanted not in (0, 1, 3, 4):
+                raise unusable(file, f"has {len(record)} entries in line {number}; a point of {wanted // 3} volumes "
+                                     f"has {wanted} numbers and may have 3 more and a label.")
+            points.append(_coordinates(record[:wanted], number, file)[:3])
+            labels.append(_unquoted(record[-1]) if len(record) - wanted in (1, 4) else "")
+        if ";" in tokens:
+            break
+    else:
+        raise unusable(file, "ends without the ';' behind its last point. Copy it again.")
+    return point_set("points", stem, points, labels, file)
+
+
+def _fields(line: str, number: int, file: str) -> list[str]:
+    try:
+        return next(csv.reader([line]))
+    except csv.Error as error:
+        raise unusable(file, f"has a line {number} that is no CSV: {error}.") from None
+
+
+def _places(names: list[str], axes: str, file: str) -> list[int]:
+    if not set(axes) <= set(names):
+        raise unusable(file, f"has the columns {shown(','.join(names))}; it needs {','.join(axes)}.")
+    return [names.index(axis) for axis in axes]
+
+
+def _at(fields: list[str], k: int) -> str:
+    return fields[k] if k < len(fields) else ""
+
+
+def _coordinates(texts: list[str], number: int, file: str) -> list[float]:
+    """Numbers of the texts in line `number`."""
+    if not all(NUMBER.fullmatch(text.strip()) for text in texts):
+        raise unusable(file, f"has {shown(', '.join(texts))} in line {number} where numbers should be.")
+    return [float(text) for text in texts]
+
+
+def _unquoted(token: str) -> str:
+    return re.sub(r"\\(.)", r"\1", token[1:].removesuffix('"')) if token.startswith('"') else token
+
+
+def fcsv_text(points: PointSet) -> str:
+    """A .fcsv file as Slicer 4.13 writes it, LPS."""
+    rows = [[i, *place, 0, 0, 0, 1, 1, 1, 0, _one_line(label), "", ""] for i, (place, label) in
+            enumerate(zip(_lps(points), points.labels), 1)]
+    return ("# Markups fiducial file version = 4.13\n# CoordinateSystem = LPS\n"
+            f"# columns = {FCSV_COLUMNS}\n{_csv(rows)}")
+
+
+def csv_text(points: PointSet) -> str:
+    """A .csv file that antsApplyTransformsToPoints reads: x,y,z (LPS) and t, then labels if any and other columns."""
+    further = dict(points.columns)
+    times = further.pop("t", ("0",) * len(points.points))
+    labels = {"label": tuple(map(_one_line, points.labels))} if any(points.labels) else {}
+    columns = {**labels, **further}
+    rows = [[*place, time, *(texts[i] for texts in columns.values())] for i, (place, time) in
+            enumerate(zip(_lps(points), times))]
+    return _csv([["x", "y", "z", "t", *columns], *rows])
+
+
+def tag_text(points: PointSet) -> str:
+    """A .tag file of one volume, world RAS mm."""
+    escaped = (_one_line(label).replace("\\", "\\\\").replace('"', '\\"') for label in points.labels)
+    rows = "\n".join(f" {x!r} {y!r} {z!r} \"{label}\"" for (x, y, z), label in zip(points.points.tolist(), escaped))
+    return f"{TAG_HEAD}\nVolumes = 1;\n\nPoints =\n{rows};\n"
+
+
+def _lps(points: PointSet) -> list[list[float]]:
+    return (points.points * LPS + 0.0).tolist()
+
+
+def _one_line(label: str) -> str:
+    return NO_LABEL.sub(" ", label)
+
+
+def _csv(rows) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
