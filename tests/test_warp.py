@@ -56,6 +56,11 @@ def test_an_affine_motion_is_exact(seed):
     assert_array_equal(result.tissue, within_rectangle(exact))
     assert_allclose(result.field[result.tissue], (exact - centres())[result.tissue], atol=1e-11)
     assert (result.field[~result.tissue] == 0).all()
+    # F is a quotient of differences: rounding of 40 mm over triangles 1e-2 mm high
+    assert_allclose(result.F, np.broadcast_to(A, result.F.shape), atol=1e-11)
+    assert_array_equal([result.box.min(axis=0), result.box.max(axis=0)],
+                       [f(result.resting, axis=(0, 1)) for f in (np.nanmin, np.nanmax)])
+    assert_array_equal(result.places, np.where(result.tissue[..., None], result.resting, centres()))
 
 
 @settings(max_examples=40, deadline=None)
@@ -279,8 +284,14 @@ def test_points_without_tissue_have_no_value():
         sample(image, ORIGIN, SPACING, points, "quintic")
 
 
+def test_a_triangle_without_area_deforms_nothing():
+    flat = np.array([[[0.0, 0], [1, 1], [2, 2]]])
+    assert_array_equal(pulled(flat, 2 * flat).F, [np.eye(2)])
+
+
 def test_triangles_beyond_the_grid_do_no_harm():
     rest = scattered(0)
     result = pull_back(rest, rest * 50, ORIGIN, SPACING, SHAPE)
     assert_allclose(result.resting, centres() / 50, atol=1e-12)
-    assert not pull_back(rest, rest + 1000, ORIGIN, SPACING, SHAPE).tissue.any()
+    none = pull_back(rest, rest + 1000, ORIGIN, SPACING, SHAPE)
+    assert not none.tissue.any() and none.box.shape == (0, 2)

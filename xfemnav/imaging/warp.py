@@ -25,7 +25,8 @@ class PullBack:
 
     `resting` (n1, n2, 2) mm, NaN where there is no tissue; `count` (n1, n2) triangles that cover the pixel, 2 or more
     where tissue overlaps; `folded` (n1, n2) triangles that cover it turned inside out, which `count` leaves out;
-    `triangle` (n1, n2) the index of the one that `resting` is from, -1 for none; the `origin`, `spacing` (2,) mm.
+    `triangle` (n1, n2) the index of the one that `resting` is from, -1 for none; the `origin`, `spacing` (2,) mm;
+    `F` (t, 2, 2) the deformation gradient of each triangle, d moved / d rest.
     """
 
     resting: np.ndarray
@@ -34,6 +35,7 @@ class PullBack:
     triangle: np.ndarray
     origin: np.ndarray
     spacing: np.ndarray
+    F: np.ndarray
 
     @cached_property
     def tissue(self) -> np.ndarray:
@@ -48,10 +50,27 @@ class PullBack:
     @cached_property
     def field(self) -> np.ndarray:
         """Resting place minus position, (n1, n2, 2) mm; 0 where there is no tissue."""
-        first, second = (o + h * np.arange(n) for o, h, n in zip(self.origin, self.spacing, self.triangle.shape))
-        field = self.resting - np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1)
+        field = self.resting - self._centres()
         field[~self.tissue] = 0
         return field
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Where to look for what is in each pixel now, (n1, n2, 2) mm: its resting place, or its own without tissue."""
+        return np.where(self.tissue[..., None], self.resting, self._centres())
+
+    @cached_property
+    def box(self) -> np.ndarray:
+        """Corners (4, 2) mm of the rectangle that holds all resting places of tissue; none (0, 2) without tissue."""
+        at = self.resting[self.tissue]
+        if not len(at):
+            return at
+        low, high = at.min(axis=0), at.max(axis=0)
+        return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+
+    def _centres(self):
+        first, second = (o + h * np.arange(n) for o, h, n in zip(self.origin, self.spacing, self.triangle.shape))
+        return np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +106,19 @@ def pull_back(rest, moved, origin, spacing, shape) -> PullBack:
     """
     origin, spacing = np.asarray(origin, float), np.asarray(spacing, float)
     rest, moved = np.ascontiguousarray(rest, float), np.ascontiguousarray(moved, float)
-    return PullBack(*_rasterise(rest, moved, origin, spacing, *shape), origin, spacing)
+    return PullBack(*_rasterise(rest, moved, origin, spacing, *shape), origin, spacing, _gradients(rest, moved))
+
+
+def _gradients(rest, moved) -> np.ndarray:
+    """Deformation gradients (t, 2, 2) of triangles; of one that is flat at rest the identity."""
+    G, M = ((x[:, 1:] - x[:, :1]).swapaxes(1, 2) for x in (rest, moved))
+    (a, b), (c, d) = np.moveaxis(G, 0, -1)
+    determinant = a * d - b * c
+    flat = determinant == 0
+    adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
+    F = M @ adjugate / np.where(flat, 1, determinant)[:, None, None]
+    F[flat] = np.eye(2)
+    return F
 
 
 def covered(triangles, origin, spacing, shape) -> np.ndarray:
