@@ -24,8 +24,7 @@ def outline_of(mask: np.ndarray, origin, spacing) -> np.ndarray:
     origin + (i, j) * spacing. Raises E201 when the mask is empty or too thin to have an inside; warns (W207) of other
     loops: what hangs on by less than two pixels comes off when the mask is smoothed.
     """
-    smooth = ndimage.gaussian_filter(np.pad(mask, MARGIN).astype(float), SIGMA)
-    loops = [loop[:-1] for loop in measure.find_contours(smooth, 0.5) if len(loop) > 3]
+    loops = _loops(mask)
     polygons = [part for loop in loops for part in shapely.get_parts(shapely.make_valid(shapely.Polygon(loop)))]
     organ = max(polygons, key=lambda part: part.area, default=shapely.Polygon())
     if organ.area == 0:
@@ -38,6 +37,17 @@ def outline_of(mask: np.ndarray, origin, spacing) -> np.ndarray:
     loop = shapely.get_coordinates(shapely.geometry.polygon.orient(organ).exterior)[:-1]
     apart = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1) > 1e-3  # pixels; level crossings beside a node
     return np.asarray(origin, float) + (loop[apart] - MARGIN) * np.asarray(spacing, float)
+
+
+def rings_of_mask(mask: np.ndarray, origin, spacing) -> tuple[np.ndarray, ...]:
+    """All closed outlines (k, 2) plane mm of a mask, holes too, smoothed as `outline_of`; none when it is empty."""
+    return tuple(np.asarray(origin, float) + (loop - MARGIN) * np.asarray(spacing, float) for loop in _loops(mask))
+
+
+def _loops(mask):
+    """Closed contours (k, 2) pixels of the smoothed mask, in the array with its margin."""
+    smooth = ndimage.gaussian_filter(np.pad(mask, MARGIN).astype(float), SIGMA)
+    return [loop[:-1] for loop in measure.find_contours(smooth, 0.5) if len(loop) > 3]
 
 
 def signed_distance(mask: np.ndarray, spacing) -> np.ndarray:

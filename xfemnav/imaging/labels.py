@@ -1,0 +1,39 @@
+"""A label map, on any grid: how much of each label the cells of a mesh hold, and the outlines of one label."""
+
+import numpy as np
+
+from xfemnav.imaging.outline import rings_of_mask
+from xfemnav.imaging.reading import Image
+from xfemnav.imaging.slices import Slice, values_on
+
+SPLIT = 6  # each edge of a cell: the cell is 36 small triangles, each of the label at its middle
+
+
+def label_shares(image: Image, frame: Slice, corners, labels) -> np.ndarray:
+    """Share (m, k) of the area of each cell, corners (m, 3, 2) plane mm, that has each of k labels; rows may miss 1.
+
+    Each of the cell's 36 equal parts has the label of the voxel that its middle is nearest to; 0 outside the image.
+    """
+    weights = _middles()
+    points = np.einsum("pa,mai->mpi", weights, corners)
+    to_voxels = np.linalg.inv(image.affine)
+    voxels = np.rint(frame.to_world(points.reshape(-1, 2)) @ to_voxels[:3, :3].T + to_voxels[:3, 3]).astype(int)
+    inside = ((voxels >= 0) & (voxels < image.values.shape)).all(axis=1)
+    found = np.zeros(len(voxels))
+    found[inside] = image.values[tuple(voxels[inside].T)]
+    return (found.reshape(len(corners), -1, 1) == np.asarray(labels)).mean(axis=1)
+
+
+def _middles():
+    """Barycentric coordinates (p, 3) of the middles of the SPLIT**2 equal parts of a triangle."""
+    i, j = np.mgrid[0:SPLIT, 0:SPLIT]
+    upright, inverted = i + j < SPLIT, i + j < SPLIT - 1
+    first = np.concatenate([i[upright] + 1 / 3, i[inverted] + 2 / 3]) / SPLIT
+    second = np.concatenate([j[upright] + 1 / 3, j[inverted] + 2 / 3]) / SPLIT
+    return np.stack([1 - first - second, first, second], axis=1)
+
+
+def region_rings(image: Image, frame: Slice, label: int | None = None) -> tuple[np.ndarray, ...]:
+    """Closed outlines (k, 2) plane mm of one label, or of all that is not 0, in the slice `frame`."""
+    values = values_on(image, frame, resample="nearest")
+    return rings_of_mask(values != 0 if label is None else values == label, frame.origin, frame.spacing)
