@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import Delaunay
 
 from data_synthetic.domains import disc
@@ -99,6 +99,24 @@ def test_at_a_kink_the_left_is_a_sector(seed, mirror):
     near = path[1] + np.array([[0, 0], [0, 1e-3], [1e-3 * mirror, -1.5e-3], [0, 1e-9]])
     assert_allclose(motion.displacement(near, +1), [N] * 4, atol=1e-9)
     assert_allclose(motion.displacement(near, -1), [-N] * 4, atol=1e-9)
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_beside_a_cut_there_are_a_distance_and_a_side(mirror):
+    path = PATH * (mirror, 1)
+    motion = PiecewiseAffineMap(triangles(), triangles(), (path,))
+    points = np.array([[0.5, 8.0], [-0.25, 8.0], [0.5, 4.0], [-0.1, 3.5], [3.0, 1.0]]) * (mirror, 1)
+    distance, side = motion.beside(points)
+    # left of a traveller who comes down is +x; right of the kink, and beyond the tip beside the last segment's line
+    assert_array_equal(side[:4], mirror * np.array([1, -1, 1, -1]))
+    assert_allclose(distance, [0.5, 0.25, 1.5 / np.sqrt(13), 1.3 / np.sqrt(13), 1.0], atol=1e-12)
+    assert np.isinf(PiecewiseAffineMap(path[None], path[None]).beside(points)[0]).all()
+
+
+def test_tissue_is_held_where_it_rested():
+    rest = triangles()
+    motion = PiecewiseAffineMap(rest, parted(rest), (PATH,))
+    assert_array_equal(motion.holds([[0.0, 7.0], [3.0, 3.0], [30.0, 0.0]]), [True, True, False])
 
 
 def test_no_tissue_gives_nan():

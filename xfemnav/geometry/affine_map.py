@@ -51,6 +51,21 @@ class PiecewiseAffineMap:
         """Displacement (n, 2) mm of the tissue that rested at `points`; `side` as in `to_current`."""
         return self.to_current(points, side) - np.array(points, float, ndmin=2)
 
+    def holds(self, points) -> np.ndarray:
+        """Whether tissue rested at `points`, (n,) bool."""
+        return locate(np.array(points, float, ndmin=2), self.rest, self._rest_buckets) >= 0
+
+    def beside(self, points) -> tuple[np.ndarray, np.ndarray]:
+        """Distance (n,) mm of points at rest from the nearest cut, and the side (n,) of it that they are on.
+
+        The side is +1 left and -1 right of the direction of travel. Without cuts the distance is infinite.
+        """
+        points = np.array(points, float, ndmin=2)
+        _, corner, distance = _nearest_on(self.cuts, points)
+        apex, ahead, back = corner.swapaxes(0, 1)
+        left = _turn(ahead, points - apex) < _turn(ahead, back)
+        return distance, np.where(left, 1, -1)
+
     @cached_property
     def _rest_buckets(self) -> Buckets:
         return bucket(self.rest)
@@ -71,6 +86,12 @@ def _carry(points, triangle, here, there) -> np.ndarray:
     carried = b + s[:, None] * g + t[:, None] * h
     carried[triangle < 0] = np.nan
     return carried
+
+
+def _turn(a, b) -> np.ndarray:
+    """Angle (n,) rad from directions `a` to `b`, both (n, 2), counter-clockwise, 0 to 2 pi."""
+    cross, dot = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1)
+    return np.arctan2(cross, dot) % (2 * np.pi)
 
 
 def _sides(corners):

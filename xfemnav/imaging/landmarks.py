@@ -1,0 +1,93 @@
+"""Landmarks through the motion of the tissue, both ways, each with a word on what it is in.
+
+Points are (n, 2) plane mm or (n, 3) world RAS mm; world points keep their distance from the slice's plane.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.locate import LIP, TOUCH
+from xfemnav.geometry.mesh import frozen_array
+from xfemnav.imaging.slices import Slice
+
+TISSUE, ON_A_CUT, RESECTED, IN_THE_CUT, OUTSIDE = "tissue", "on a cut", "resected", "in the cut", "outside"
+
+
+@dataclass(frozen=True, eq=False)
+class MovedPoints:
+    """`points` (n, d) mm, where they `moved` to (n, d), NaN where nowhere, and for each a `flag`.
+
+    "tissue" moves. "on a cut" has two values, `lips` (n, 2, d) left and right (NaN for all other points, and for a lip
+    that was resected); `moved` is that of the side asked for, else the one that both share, else NaN. "resected"
+    tissue is gone. "in the cut" is a place now between lips, where nothing rested. "outside" is not the organ.
+    """
+
+    points: np.ndarray
+    moved: np.ndarray
+    lips: np.ndarray
+    flag: tuple[str, ...]
+
+    def __post_init__(self):
+        points = np.asarray(self.points)
+        for name, shape in (("points", points.shape), ("moved", points.shape), ("lips", (len(points), 2, None))):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
+
+
+def moved_points(points, frame: Slice, motion: PiecewiseAffineMap, organ, side=None) -> MovedPoints:
+    """Where preoperative `points` are now.
+
+    `organ` (t, 3, 2) mm: triangles of the whole organ at rest, also of what was resected. `side`: the lip for points
+    on a cut, +1 left or -1 right, one for all or (n,); None or 0 for no choice.
+    """
+    points, plane, distance = _in_plane(points, frame)
+    side = np.broadcast_to(0 if side is None else side, len(plane))
+    moved = motion.to_current(plane)
+    lips = np.full((len(plane), 2, 2), np.nan)
+    near = motion.beside(plane)[0] <= LIP
+    lips[near] = np.stack([motion.to_current(plane[near], s) for s in (1, -1)], axis=1)
+    on_cut = np.isfinite(lips[..., 0]).any(axis=1)
+    moved[on_cut] = _chosen(lips[on_cut], side[on_cut])
+    tissue, there = np.isfinite(moved[:, 0]), PiecewiseAffineMap(organ, organ).holds(plane)
+    flag = np.select([on_cut & (tissue | (side == 0)), tissue, there], [ON_A_CUT, TISSUE, RESECTED], OUTSIDE)
+    return _result(points, frame, moved, lips, distance, flag)
+
+
+def resting_points(points, frame: Slice, motion: PiecewiseAffineMap, outline) -> MovedPoints:
+    """Where the tissue that is now at `points` was preoperatively.
+
+    `outline` (k, 2) mm: the organ's outline now, a closed loop with its mouths bridged. Where tissue overlaps, the
+    result is one of its places.
+    """
+    points, plane, distance = _in_plane(points, frame)
+    moved = motion.to_preoperative(plane)
+    inside = shapely.contains_xy(shapely.Polygon(outline).buffer(0), plane)
+    flag = np.select([np.isfinite(moved[:, 0]), inside], [TISSUE, IN_THE_CUT], OUTSIDE)
+    return _result(points, frame, moved, np.full((len(plane), 2, 2), np.nan), distance, flag)
+
+
+def _chosen(lips, side) -> np.ndarray:
+    """Of the `lips` (n, 2, 2) that of each `side` (n,); for 0 the only one or the one that both share, else NaN."""
+    left, right = lips.swapaxes(0, 1)
+    apart = np.linalg.norm(left - right, axis=1) > TOUCH    # False where one is NaN
+    either = np.where(np.isnan(left), right, left)
+    either[apart] = np.nan
+    return np.where((side > 0)[:, None], left, np.where((side < 0)[:, None], right, either))
+
+
+def _in_plane(points, frame: Slice):
+    """The points (n, d), their plane mm (n, 2) and signed distance (n,) mm from the plane."""
+    points = np.array(points, float, ndmin=2)
+    if points.shape[1] == 2:
+        return points, points, np.zeros(len(points))
+    return points, *frame.from_world(points)
+
+
+def _result(points, frame: Slice, moved, lips, distance, flag) -> MovedPoints:
+    """The result in the form of `points`: plane or world."""
+    if points.shape[1] == 3:
+        off = distance[:, None] * frame.axes[2]
+        moved, lips = frame.to_world(moved) + off, frame.to_world(lips) + off[:, None]
+    return MovedPoints(points, moved, lips, tuple(map(str, flag)))
