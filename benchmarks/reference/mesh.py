@@ -20,7 +20,10 @@ ALGORITHMS = (6, 5, 1)
 
 @dataclass(frozen=True)
 class Grading:
-    """Edge length mm: `fine` at the focus points (k, 2), growing by `slope` mm per mm, at most `coarse`."""
+    """Edge length mm: `fine` at the focus points, growing by `slope` mm per mm, at most `coarse`.
+
+    A focus point is (x, y), or (x, y, size) where the edges may be longer than `fine`.
+    """
 
     coarse: float
     fine: float
@@ -36,15 +39,17 @@ class SplitMesh:
     cells: np.ndarray
 
 
-def conforming_mesh(outline, cuts, grading: Grading, marks=()) -> SplitMesh:
+def conforming_mesh(outline, cuts, grading: Grading, marks=(), holes=()) -> SplitMesh:
     """Mesh of the inside of `outline` (n, 2) mm, a closed loop, opened along the `cuts`, a sequence of (k, 2) mm.
 
-    `marks` (k, 2) mm are points of the outline or of the cuts that must be nodes: where data begin or end.
+    `marks` (k, 2) mm are points of the outline or of the cuts that must be nodes: where data begin or end. `holes` are
+    closed loops like the outline, inside it, with no tissue in them.
     Raises ValueError when a triangle is worse than WORST_QUALITY.
     """
-    vertices, ring, inner = _network(np.asarray(outline, float), [np.asarray(c, float) for c in cuts], marks)
+    loops = [np.asarray(loop, float) for loop in (outline, *holes)]
+    vertices, rings, inner = _network(loops, [np.asarray(c, float) for c in cuts], marks)
     for algorithm in ALGORITHMS:
-        points, cells, cut_edges = _triangulate(vertices, ring, inner, grading, algorithm)
+        points, cells, cut_edges = _triangulate(vertices, rings, inner, grading, algorithm)
         quality = _quality(points[cells])
         if quality.min() >= WORST_QUALITY:
             return split(points, cells, cut_edges)
@@ -52,11 +57,11 @@ def conforming_mesh(outline, cuts, grading: Grading, marks=()) -> SplitMesh:
     raise ValueError(f"triangle of quality {quality.min():.1e} at {where.round(4)} mm; change the grading")
 
 
-def _network(outline, cuts, marks):
-    """Vertices (v, 2), edges of the outline in order (r, 2), edges inside (e, 2), with every meeting point a vertex."""
+def _network(loops, cuts, marks):
+    """Vertices (v, 2), edges of each loop in order (r, 2), edges inside (e, 2), with every meeting point a vertex."""
     ends = [c[k] for c in cuts for k in (0, -1)]
     special = np.array([*ends, *marks]).reshape(-1, 2)
-    ring = _with_points(np.vstack([outline, outline[:1]]), special)
+    rings = [_with_points(np.vstack([loop, loop[:1]]), special) for loop in loops]
     lines = [_with_points(c, special) for c in cuts]
     noded = shapely.get_parts(shapely.node(shapely.MultiLineString([*lines]))) if lines else []
     vertices, number = [], {}
@@ -68,8 +73,8 @@ def _network(outline, cuts, marks):
             vertices.append(np.asarray(point, float))
         return number[key]
 
-    loop = [index(p) for p in ring]
-    ring_edges = np.stack([loop[:-1], loop[1:]], axis=1)
+    chains = [[index(p) for p in ring] for ring in rings]
+    ring_edges = [np.stack([chain[:-1], chain[1:]], axis=1) for chain in chains]
     inner = set()
     for line in noded:
         chain = [index(p) for p in shapely.get_coordinates(line)]
@@ -91,7 +96,7 @@ def _with_points(line, points):
     return line
 
 
-def _triangulate(vertices, ring, inner, grading, algorithm):
+def _triangulate(vertices, rings, inner, grading, algorithm):
     """gmsh's triangles: points (n, 2), cells (m, 3), and the mesh edges on the cuts (e, 2)."""
     import gmsh
 
@@ -104,9 +109,9 @@ def _triangulate(vertices, ring, inner, grading, algorithm):
         gmsh.option.setNumber("Mesh.Algorithm", algorithm)
         geo = gmsh.model.geo
         tags = [geo.addPoint(x, y, 0) for x, y in vertices]
-        outer = [geo.addLine(tags[a], tags[b]) for a, b in ring]
+        loops = [geo.addCurveLoop([geo.addLine(tags[a], tags[b]) for a, b in ring]) for ring in rings]
         cut = [geo.addLine(tags[a], tags[b]) for a, b in inner]
-        surface = geo.addPlaneSurface([geo.addCurveLoop(outer)])
+        surface = geo.addPlaneSurface(loops)
         geo.synchronize()
         gmsh.model.mesh.embed(1, cut, 2, surface)
         gmsh.model.mesh.setSizeCallback(_size_callback(grading))
@@ -127,11 +132,14 @@ def _triangulate(vertices, ring, inner, grading, algorithm):
 
 
 def _size_callback(grading):
-    focus = [(float(x), float(y)) for x, y in grading.focus]
+    focus = [(float(x), float(y), *own) for x, y, *own in grading.focus]
+    fine = [(x, y) for x, y, *own in focus if not own]
+    other = [spot for spot in focus if len(spot) == 3]
 
     def size(dim, tag, x, y, z, lc):
-        r = min((math.hypot(x - a, y - b) for a, b in focus), default=math.inf)
-        return min(grading.coarse, grading.fine + grading.slope * r)
+        r = min((math.hypot(x - a, y - b) for a, b in fine), default=math.inf)
+        grown = [own + grading.slope * math.hypot(x - a, y - b) for a, b, own in other]
+        return min(grading.coarse, grading.fine + grading.slope * r, *grown)
 
     return size
 
