@@ -158,13 +158,14 @@ def _pieces(mesh, subcells):
     one, two = (np.concatenate(side) for side in zip(*pairs))
     size = 3 * len(cells)
     _, label = connected_components(coo_array((np.ones(len(one), bool), (one, two)), (size, size)), directed=False)
-    # The standard row of a node is the piece that holds the node; of several that touch it, the largest.
+    # The standard row of a node is the piece that holds the node; of several that touch it, the largest that is left.
     node_of = np.empty(label.max() + 1, dtype=int)
     node_of[label] = cells.ravel()
     area = np.bincount(label, np.repeat(np.bincount(subcells.part, subcells.areas, len(cells)), 3))
-    holds = np.zeros(len(node_of), dtype=bool)
+    holds, gone = np.zeros((2, len(node_of)), dtype=bool)
     holds[label[_held(mesh, subcells, cells)]] = True
-    rank = np.lexsort((np.arange(len(node_of)), -area, ~holds, node_of))
+    gone[label] = np.repeat(subcells.removed, 3)
+    rank = np.lexsort((np.arange(len(node_of)), -area, gone, ~holds, node_of))
     head = np.concatenate([[True], np.diff(node_of[rank]) != 0])
     row = np.empty(len(node_of), dtype=int)
     row[rank[head]] = node_of[rank[head]]

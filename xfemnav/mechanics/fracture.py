@@ -4,9 +4,14 @@ I = - integral over A of P_j dq/dx_j + integral over the lips of P_j m_j q, with
 P_j = W delta_1j - s_ij u'_i,1 - s'_ij u_i,1: the primed field is the leading term of one mode with unit intensity, W
 the mutual energy, q falls smoothly from 1 to 0 with the distance from the tip, m points out of the tissue. On straight,
 free lips the second integral is zero; it counts on kinked and curved cuts. (Moran & Shih 1987; Moes et al. 1999.)
+Lips that press on each other with p have the traction s_ij m_j = -p m_i, so the second integral gains p m_i u'_i,1 q.
+Of mode II u'_i,1 has the same normal component on both lips of a straight cut, where m is opposite: the pressure does
+no work on it, and only K_I needs the term.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import shapely
@@ -14,6 +19,7 @@ import shapely
 from xfemnav.geometry.mesh import orient
 from xfemnav.mechanics.angles import adjacency, centroids, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_gradients, polar
+from xfemnav.mechanics.contact import lip_pressure
 from xfemnav.mechanics.elasticity import Material, strain_matrices
 from xfemnav.mechanics.lips import LEFT, RIGHT, lip_quadrature
 from xfemnav.mechanics.problem import Problem
@@ -23,13 +29,18 @@ from xfemnav.mechanics.space import Space
 
 #: q is 1 within this fraction of the domain's radius.
 PLATEAU = 0.3
+#: Ends of pieces that halve towards a tip, in units of the domain's radius.
+HALVES = 2.0 ** -np.arange(30)
 PA_SQRT_M = 1e3 * 10**-1.5  # one kPa mm^.5
 
 
-def stress_intensity(space: Space, material: Material, U, tip: int, radius_mm: float) -> tuple[float, float]:
-    """(K_I, K_II) kPa mm^.5 of a tip whose lips are free within `radius_mm`.
+def stress_intensity(
+    space: Space, material: Material, U, tip: int, radius_mm: float, pressure: Callable | None = None
+) -> tuple[float, float]:
+    """(K_I, K_II) kPa mm^.5 of a tip whose lips nobody holds within `radius_mm`.
 
-    U (n_rows, 2) mm: the coefficients of the solution. The disc must hold no other tip, no held part of a lip and no
+    U (n_rows, 2) mm: the coefficients of the solution. pressure(arc (q,) mm) -> (q,) kPa between the lips; None for
+    none. The disc must hold no other tip, no held part of a lip and no
     outline but the lips themselves. 1 kPa mm^.5 = 31.6 Pa m^.5.
     """
     sub = space.subcells
@@ -47,7 +58,7 @@ def stress_intensity(space: Space, material: Material, U, tip: int, radius_mm: f
     _, slope = _weight(r / radius_mm)
     dq = (slope / radius_mm / r)[:, None] * offset
     integral = -np.einsum("q,mqj,qj->m", weights, P, dq)
-    integral += _lip_integral(space, material, np.asarray(U), tip, angle, frame, radius_mm)
+    integral += _lip_integral(space, material, np.asarray(U), tip, angle, frame, radius_mm, pressure)
     modulus = material.young_kpa
     if material.stress_state == "strain":
         modulus /= 1 - material.poisson**2
@@ -66,15 +77,19 @@ class FreeTip:
     radius_mm: float
 
 
-def free_tips(problem: Problem, U) -> tuple[FreeTip, ...]:
-    """The stress intensity factors of every tip with a free disc of at least two elements about it."""
+def free_tips(problem: Problem, U, force) -> tuple[FreeTip, ...]:
+    """The stress intensity factors of every tip with a free disc of at least two elements about it.
+
+    force (g,) mN per mm: the multipliers of the problem's contacts.
+    """
     sub, found = problem.subcells, []
     for tip, x in enumerate(sub.tips):
         h = problem.mesh.sizes[sub.part_cell[touched_parts(sub, tip)]].max()
         radius = 0.9 * _clearance(problem, tip)
         if radius >= 2 * h:
             material = problem.material.at(sub.part_cell[touched_parts(sub, tip)[0]])
-            K = np.array(stress_intensity(problem.space, material, U, tip, radius)) * PA_SQRT_M
+            pressure = partial(lip_pressure, problem.contacts, force, sub.tip_cut[tip]) if np.any(force) else None
+            K = np.array(stress_intensity(problem.space, material, U, tip, radius, pressure)) * PA_SQRT_M
             found.append(FreeTip(int(sub.tip_cut[tip]), tuple(x.tolist()), float(K[0]), float(K[1]), float(radius)))
     return tuple(found)
 
@@ -85,7 +100,8 @@ def _clearance(problem, tip):
     own = sub.part_cell[touched_parts(sub, tip)[0]]
     D = problem.material.stiffness_in(sub.part_cell[sub.part])
     other = np.abs(D - problem.material.at(own).stiffness).max(axis=(1, 2)) > 1e-9 * D.max()
-    distance = [shapely.linestrings(sub.rim_ends), shapely.points(np.delete(sub.tips, tip, axis=0))]
+    rim = np.concatenate([sub.rim_ends, sub.wall_ends])
+    distance = [shapely.linestrings(rim), shapely.points(np.delete(sub.tips, tip, axis=0))]
     distance.append(shapely.polygons(sub.corners[other]))
     distance.append(shapely.linestrings(sub.lip_ends[sub.lip_cut != sub.tip_cut[tip]]))
     for retraction, span in zip(problem.retractions, problem.spans):
@@ -126,10 +142,7 @@ def _flux(space, material, U, points, parts, tip, reference, frame, real_tractio
     stress = _tensor(strain @ D.T, frame)
     gx, gy = (g @ U for g in space.gradient_in(points, parts))
     gradient = np.einsum("ai,qij,bj->qab", frame, np.stack([gx, gy], axis=2), frame)
-    tips = np.broadcast_to(space.subcells.tips[tip], points.shape)
-    r, theta = polar(points, tips, np.broadcast_to(frame[0], points.shape), reference)
-    scale = 1 / (2 * material.shear_modulus * np.sqrt(2 * np.pi))
-    unit = scale * np.einsum("mli,qlj->mqij", mode_combinations(material.kappa), branch_gradients(r, theta))
+    unit = _unit_gradient(space, material, points, tip, reference, frame)
     unit_strain = np.stack([unit[..., 0, 0], unit[..., 1, 1], unit[..., 0, 1] + unit[..., 1, 0]], axis=-1)
     s = unit_strain @ D.T
     unit_stress = np.stack([np.stack([s[..., 0], s[..., 2]], -1), np.stack([s[..., 2], s[..., 1]], -1)], -2)
@@ -140,29 +153,43 @@ def _flux(space, material, U, points, parts, tip, reference, frame, real_tractio
     return P
 
 
+def _unit_gradient(space, material, points, tip, reference, frame):
+    """u'_i,j (2 modes, q, 2, 2), 1/mm, of each mode with unit intensity, in the tip's frame."""
+    tips = np.broadcast_to(space.subcells.tips[tip], points.shape)
+    r, theta = polar(points, tips, np.broadcast_to(frame[0], points.shape), reference)
+    scale = 1 / (2 * material.shear_modulus * np.sqrt(2 * np.pi))
+    return scale * np.einsum("mli,qlj->mqij", mode_combinations(material.kappa), branch_gradients(r, theta))
+
+
 def _tensor(s, frame):
     """Stress tensors (q, 2, 2) in the tip's frame from components (q, 3) xx, yy, xy in the plane's."""
     tensor = np.stack([np.stack([s[:, 0], s[:, 2]], -1), np.stack([s[:, 2], s[:, 1]], -1)], -2)
     return np.einsum("ai,qij,bj->qab", frame, tensor, frame)
 
 
-def _lip_integral(space, material, U, tip, angle, frame, radius):
-    """Integral of P_j m_j q over both lips; the traction of the solution is zero there and left out."""
+def _lip_integral(space, material, U, tip, angle, frame, radius, pressure):
+    """Integral of P_j m_j q over both lips; the traction of the solution is there the pressure, or nothing."""
     sub = space.subcells
     cut = sub.tip_cut[tip]
     total = np.zeros(2)
     near = (sub.lip_cut == cut) & (np.linalg.norm(sub.lip_ends - sub.tips[tip], axis=2).min(axis=1) < radius)
     span = sub.lip_arc[near].min(), sub.lip_arc[near].max()
+    # Pieces that halve towards the tip follow the r^-1/2 of u'_i,1.
+    towards = np.concatenate([span[0] + radius * HALVES, span[1] - radius * HALVES]) if pressure else ()
     for side in (LEFT, RIGHT):
-        q = lip_quadrature(space, cut, side, span, n=6)
+        q = lip_quadrature(space, cut, side, span, towards, n=6)
         outward = -side * q.normals @ frame.T
         weight, _ = _weight(np.linalg.norm(q.points - sub.tips[tip], axis=1) / radius)
-        # Where the lip lies on the tip's own line both terms vanish.
-        off_line = np.abs((q.points - sub.tips[tip]) @ frame[1]) > 1e-9 * radius
-        keep = off_line & (weight > 0) & np.isfinite(angle[q.parts])
+        inside = (weight > 0) & np.isfinite(angle[q.parts])
+        # Where the lip lies on the tip's own line both terms without pressure vanish.
+        keep = inside & (np.abs((q.points - sub.tips[tip]) @ frame[1]) > 1e-9 * radius)
         if keep.any():
             P = _flux(
                 space, material, U, q.points[keep], q.parts[keep], tip, angle[q.parts[keep]], frame, real_traction=False
             )
             total += np.einsum("q,mqj,qj->m", (q.weights * weight)[keep], P, outward[keep])
+        if pressure is not None:
+            unit = _unit_gradient(space, material, q.points[inside], tip, angle[q.parts[inside]], frame)
+            pressed = (q.weights * weight)[inside] * pressure(q.arc[inside])
+            total += np.einsum("q,qi,mqi->m", pressed, outward[inside], unit[..., 0])
     return total

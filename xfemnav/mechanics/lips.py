@@ -96,13 +96,14 @@ def lip_quadrature(space: Space, cut: int, side: int, span, breaks=(), n: int = 
 def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tuple[float, float]:
     """Held part of the lip (from, to) mm from the mouth; shortened to stay two cells short of a tip (W404).
 
-    Raises XfemnavError E402 when nothing is left.
+    Where a resection took the tissue of the cut, the blade holds what is left. Raises XfemnavError E402 when that is
+    nothing.
     """
     sub, k = space.subcells, retraction.cut
     arcs = sub.lip_arc[sub.lip_cut == k]
     if not len(arcs):
-        raise XfemnavError("E402", f"cut '{cuts[k].name}' crosses no element, so no blade can hold it.")
-    end = arcs.max()
+        raise XfemnavError("E402", f"cut '{cuts[k].name}' has no tissue on its two sides, so no blade can hold it.")
+    end = float(np.linalg.norm(np.diff(sub.paths[k], axis=0), axis=1).sum())
     asked = (np.asarray(retraction.blade if retraction.blade is not None else (0.0, 1.0)) * end).tolist()
     start, stop = asked
     for tip_end, is_last in ((-1, True), (0, False)):
@@ -125,7 +126,15 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
             f"the blade on cut '{cuts[k].name}' came within two elements ({margin:.1f} mm) of a tip and was shortened: "
             f"it holds {start / end:.2f} to {stop / end:.2f} of the cut.",
         )
-    return start, stop
+    left = np.clip(arcs, start, stop)
+    left = left[left[:, 1] - left[:, 0] > 1e-9]
+    if not len(left):
+        raise XfemnavError(
+            "E402",
+            f"the tissue that the blade should hold, {start:.1f} to {stop:.1f} mm along cut '{cuts[k].name}', is "
+            "resected; hold another part, or leave the retraction out.",
+        )
+    return float(left.min()), float(left.max())
 
 
 def mortar_rows(space: Space, retraction: Retraction, span, group: int) -> Constraints:
@@ -202,5 +211,5 @@ def lip_rows(
 def lip_load(space: Space, retraction: Retraction, span) -> np.ndarray:
     """Nodal forces (n_dof,) mN per mm of thickness of a force spread evenly over the blade."""
     q = lip_quadrature(space, retraction.cut, retraction.side, span)
-    traction = np.asarray(retraction.force_mN_per_mm, float) / (span[1] - span[0])
+    traction = np.asarray(retraction.force_mN_per_mm, float) / q.weights.sum()
     return np.outer(space.basis_in(q.points, q.parts).T @ q.weights, traction).ravel()

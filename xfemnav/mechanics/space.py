@@ -39,16 +39,17 @@ class Space:
     def basis_at(self, points, side: int | None = None) -> csr_array:
         """B (k, n_rows) at any points (k, 2) mm of the organ; on a cut, `side` +1 is the left lip and -1 the right.
 
-        Raises ValueError for a point outside the mesh, or on a cut without a side.
+        Raises ValueError for a point outside the mesh or in a resection, or on a cut without a side.
         """
         points = np.asarray(points, float)
         return self.basis_in(points, self.locate(points, side))
 
     def locate(self, points, side: int | None = None) -> np.ndarray:
-        """Part (k,) that holds each point (k, 2) mm; see `basis_at`."""
+        """Part (k,) that holds each point (k, 2) mm and is not resected; see `basis_at`."""
         points = np.asarray(points, float)
         reach = SEVER * float(self.mesh.sizes.min())
         at, triangle = self._tree.query(shapely.points(points), predicate="dwithin", distance=reach)
+        triangle = self._left[triangle]
         candidate = self.subcells.part[triangle]
         lip = self._nearest_lip(points)
         normal = self._lip_normals[lip] if lip is not None else np.zeros((len(points), 2))
@@ -62,7 +63,7 @@ class Space:
         found[at[first]] = candidate[first]
         if (found < 0).any():
             where = points[found < 0][0]
-            raise ValueError(f"point ({where[0]:.3f}, {where[1]:.3f}) mm lies outside the mesh")
+            raise ValueError(f"point ({where[0]:.3f}, {where[1]:.3f}) mm lies outside the mesh, or was resected")
         return found
 
     def _nearest_lip(self, points):
@@ -71,8 +72,12 @@ class Space:
         return self._lip_tree.nearest(shapely.points(points))
 
     @cached_property
+    def _left(self):
+        return np.flatnonzero(~self.subcells.removed[self.subcells.part])
+
+    @cached_property
     def _tree(self):
-        return shapely.STRtree(shapely.polygons(self.subcells.corners))
+        return shapely.STRtree(shapely.polygons(self.subcells.corners[self._left]))
 
     @cached_property
     def _lip_tree(self):

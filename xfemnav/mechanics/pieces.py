@@ -1,0 +1,163 @@
+"""Bodies of tissue that cuts and resections leave: what holds each of them, and what becomes of one that nothing holds.
+
+A body may lose a rigid motion that no condition and no spring of it meets. Such a loose piece is refused, removed, or
+held at its mean: its free rigid motions, and only those, are zero in the mean over it, so that it can still deform.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from xfemnav.errors import XfemnavError, warn
+from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
+from xfemnav.mechanics.enrichment import BRANCH
+from xfemnav.mechanics.space import Space
+
+LOOSE = ("refuse", "remove", "hold")
+#: A mean over a held piece is taken over at most so many basis functions: they couple all to all.
+MEAN_OVER = 200
+#: A rigid motion whose conditions and springs do less than this, of the strongest, is free.
+FREE_MOTION = 1e-8
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A connected body of tissue: its area mm^2, a place in it (x, y) mm, and its `fate`.
+
+    'fixed': the skull or a retractor holds it; 'held': loose, and held at its mean; 'removed': loose, and not in the
+    result.
+    """
+
+    name: str
+    area_mm2: float
+    place_mm: tuple[float, float]
+    fate: str
+
+
+def sort_out(
+    space: Space, cuts, resections, retractions, constraints: Constraints, springs, loose: str
+) -> tuple[Constraints, np.ndarray, tuple[Piece, ...]]:
+    """Conditions that leave nothing loose, the parts (p,) bool that are in no result, and the pieces, largest first.
+
+    Resected parts, and crumbs smaller than an element (W311), move nowhere. Larger loose pieces: E306, or with
+    `loose` 'remove' W312, with 'hold' W313; E406 when nothing holds the organ.
+    """
+    if loose not in LOOSE:
+        raise ValueError(f"loose is {loose!r}, not one of {LOOSE}")
+    table, sub = space.enrichment, space.subcells
+    area = np.bincount(table.body, np.bincount(sub.part, sub.areas, sub.n_parts))
+    bodies = np.unique(table.body[~sub.removed])
+    bodies = bodies[np.argsort(-area[bodies], kind="stable")]
+    free = [free_motions(space, constraints, springs, body) for body in bodies]
+    if all(motions.shape[1] for motions in free) and (len(bodies) == 1 or loose != "refuse"):
+        raise XfemnavError(
+            "E406",
+            "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
+            "use --skull fixed, or hold a lip.",
+        )
+    removed, held, pieces, crumbs = sub.removed.copy(), [], [], []
+    for k, (body, motions) in reversed(list(enumerate(zip(bodies, free)))):
+        parts, fate, is_crumb = table.body == body, "fixed", area[body] < np.median(space.mesh.areas)
+        if motions.shape[1]:
+            fate = "removed" if is_crumb or (loose == "remove" and k > 0) else "held" if loose == "hold" else "refused"
+            what = f"{area[body]:.3g} mm2 ({100 * area[body] / area[bodies].sum():.2g} % of the tissue)"
+            if is_crumb:
+                crumbs.append(f"{what} about {_mm(_place(sub, parts))}")
+            else:
+                _tell(space, cuts, resections, retractions, parts, what, fate)
+        if fate == "held":
+            held.append(_held_at_mean(space, parts, motions))
+        removed |= parts & (fate == "removed")
+        place = _place(sub, parts)
+        name = "organ" if k == 0 else f"piece {k} about {_mm(place)}"
+        pieces.append(Piece(name, float(area[body]), tuple(place.tolist()), fate))
+    if crumbs:
+        more = f", and {len(crumbs) - 1} smaller ones" if len(crumbs) > 1 else ""
+        warn("W311", f"a loose piece of {crumbs[-1]}{more}, under the size of an element, was cut free and removed.")
+    return _without(space, stack([constraints, *held], table.n_dof), removed), removed, tuple(reversed(pieces))
+
+
+def _tell(space, cuts, resections, retractions, parts, what, fate):
+    """Refuse a loose piece, or warn of what was done to it."""
+    sub = space.subcells
+    place = _mm(_place(sub, parts))
+    sides = {(sub.lip_cut[lip], side) for side, column in ((1, 0), (-1, 1))
+             for lip in np.flatnonzero(parts[sub.lip_parts[:, column]])}
+    names = [f"cut '{cuts[k].name}'" for k in sorted({cut for cut, _ in sides})]
+    names += [f"resection '{resections[k].name}'" for k in np.unique(sub.wall_resection[parts[sub.wall_part]])]
+    by = " and ".join(names) or "the mesh"
+    pulled = any((r.cut, r.side) in sides for r in retractions)
+    if fate == "refused" or (fate == "removed" and pulled):
+        why = "a retractor pulls on that piece, but" if pulled else "and"
+        raise XfemnavError(
+            "E306",
+            f"{by} {'frees' if len(names) < 2 else 'free'} a piece of {what} about {place}, {why} nothing holds it; "
+            "let the cut end inside, hold the piece, or say what to do with it: --loose remove|hold.",
+        )
+    if fate == "removed":
+        warn("W312", f"a loose piece of {what} about {place}, freed by {by}, was removed: it is not in the result.")
+    else:
+        warn("W313", f"a loose piece of {what} about {place}, freed by {by}, is held at its mean position: where it "
+                     "lies is not computed.")
+
+
+def free_motions(space: Space, constraints: Constraints, springs, body: int) -> np.ndarray:
+    """The rigid motions (n_dof, m) of a body that meet no condition and no spring."""
+    table, mesh = space.enrichment, space.mesh
+    row_body = np.full(table.n_rows, -1)
+    row_body[table.dof] = table.body[:, None]
+    own = ((table.kind < BRANCH) & (row_body == body)).astype(float)
+    # A row's length is its unit's and its element's business; whether it is met is not.
+    length = np.sqrt(np.asarray(constraints.C.multiply(constraints.C).sum(axis=1)).ravel())
+    rows = constraints.C.multiply(1 / np.maximum(length, 1e-300)[:, None]).tocsr()
+    x = mesh.points[table.node]
+    centred = x - np.average(x, axis=0, weights=own)
+    radius = np.sqrt(np.average((centred**2).sum(axis=1), weights=own))
+    motions = np.zeros((table.n_dof, 3))
+    motions[0::2, 0], motions[1::2, 1] = own, own
+    motions[0::2, 2], motions[1::2, 2] = -own * centred[:, 1] / radius, own * centred[:, 0] / radius
+    met = rows @ motions
+    scale = max(np.abs(springs.diagonal()[np.repeat(own > 0, 2)]).max(initial=0.0), 1e-300)
+    work = met.T @ met + motions.T @ (springs @ motions) / scale
+    value, vector = np.linalg.eigh(work)
+    return motions @ vector[:, value < FREE_MOTION]
+
+
+def _held_at_mean(space, parts, motions):
+    """Conditions that the displacement of a body has no part along its free rigid motions (n_dof, m)."""
+    table, sub = space.enrichment, space.subcells
+    area = np.bincount(sub.part, sub.areas, sub.n_parts)[parts]
+    share = np.bincount(table.dof[parts].ravel(), np.repeat(area / 3, 3), table.n_rows)
+    rows = np.flatnonzero(share)
+    if len(rows) > MEAN_OVER:  # as many, of the larger half, evenly through the numbering
+        rows = rows[share[rows] >= np.median(share[rows])]
+        rows = rows[np.unique(np.linspace(0, len(rows) - 1, MEAN_OVER).astype(int))]
+    weight = np.zeros(table.n_rows)
+    weight[rows] = share[rows] / share[rows].sum()
+    C = csr_array((motions * np.repeat(weight, 2)[:, None]).T)
+    return Constraints(C, np.zeros(C.shape[0]), np.full(C.shape[0], SKULL))
+
+
+def _without(space, constraints, removed):
+    """The conditions with all basis functions of removed parts fixed to 0, and no other condition on those."""
+    table = space.enrichment
+    rows = np.unique(table.dof[removed])
+    if not len(rows):
+        return constraints
+    gone = np.zeros(table.n_rows)
+    gone[rows] = 1.0
+    keep = np.flatnonzero(abs(constraints.C) @ np.repeat(gone, 2) == 0)
+    pick = csr_array((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), table.n_rows))
+    left = Constraints(constraints.C[keep], constraints.d[keep], constraints.group[keep])
+    return stack([left, vector_rows(pick, np.zeros((len(rows), 2)), SKULL)], table.n_dof)
+
+
+def _place(sub, parts):
+    """Centre (2,) mm of the largest triangle of some parts: a place inside them."""
+    own = np.flatnonzero(parts[sub.part])
+    return sub.corners[own[np.argmax(sub.areas[own])]].mean(axis=0)
+
+
+def _mm(point):
+    return f"({point[0]:.1f}, {point[1]:.1f}) mm"
