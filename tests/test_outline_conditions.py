@@ -9,16 +9,23 @@ from tests.meshes import BRAIN, cut_in, disc, jittered, outline, space_of
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.distmesh import distmesh
+from xfemnav.mechanics import outline as module
 from xfemnav.mechanics.constraints import SKULL
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import BRANCH
-from xfemnav.mechanics.outline import Skull, skull_conditions
+from xfemnav.mechanics.outline import Skull
 
 MESH = disc()
 CUT = cut_in(MESH, (3, 80), (1.7, 12.3))
 SPACE = space_of(MESH, CUT)
 MOUTH = SPACE.subcells.paths[0][:1]
 BOX = jittered(40.0, 30.0, 2.0, 0.25, seed=3)
+
+
+def skull_conditions(*args):
+    """The conditions and the springs."""
+    found = module.skull_conditions(*args)
+    return found.constraints, found.springs
 
 
 def plain_field(space, u):

@@ -1,4 +1,8 @@
-"""Conditions on the organ's outline: the skull, the craniotomy and its ramp, measured displacements."""
+"""Conditions on the organ's outline: the skull, the craniotomy and its ramp, arcs of their own, measured displacements.
+
+Along each facet the outline is 'fixed', 'sliding' (no normal motion), 'free', or in 'contact': it may leave the skull,
+without friction, but not pass through it: n . u <= gap, n outward.
+"""
 
 from dataclasses import dataclass
 
@@ -7,93 +11,173 @@ import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
+from xfemnav.geometry.mesh import frozen_array
 from xfemnav.mechanics.constraints import SKULL, Constraints, normal_rows, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material, Tissue
+from xfemnav.mechanics.measured import MEASURED_OFF_MM, measured_at
+from xfemnav.mechanics.minimise import Contacts
+from xfemnav.mechanics.pieces import free_motions
+from xfemnav.mechanics.rim import rim_points, rim_quadrature
 from xfemnav.mechanics.space import Space
 
+KINDS = ("fixed", "sliding", "free", "contact")
 #: Length over which the skull's springs reach the tissue's own stiffness: k = (E / RAMP_STIFFNESS_MM) x / (1 - x).
 RAMP_STIFFNESS_MM = 2.0
 #: Penalty, in units of M / h, on the held part of a facet that begins free.
 STRADDLE_PENALTY = 1.5
-#: Where measured points are farther apart than this along the outline, the skull's own condition holds between them.
-MEASURED_GAP_MM = 20.0
-#: A measured point farther than this from the outline is refused.
-MEASURED_OFF_MM = 10.0
+#: Springs, in units of E / mm, on what nothing but contact holds.
+WEAK = 1e-6
+
+
+@dataclass(frozen=True)
+class Arc:
+    """A part of the outline with a kind of its own, counter-clockwise from the outline's point nearest to `start` to
+    the one nearest to `end` (2,) mm; `gap_mm` for contact."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    kind: str
+    gap_mm: float = 0.0
+
+    def __post_init__(self):
+        _check(self.kind, self.gap_mm)
 
 
 @dataclass(frozen=True)
 class Skull:
-    """The outline is 'fixed', 'sliding' (no normal motion) or 'free', except within `craniotomy_mm` of a mouth.
+    """The outline is 'fixed', 'sliding', 'free' or in 'contact', except within `craniotomy_mm` of a mouth.
 
-    From there its grip grows over `ramp_mm` by springs; 0 switches it on at a point.
+    The grip of a fixed or sliding skull grows over `ramp_mm` by springs, from the craniotomy and from free and contact
+    arcs on; 0 switches it on at a point. Contact has no ramp: it can only push, so that nothing pulls at its edge.
+    `gap_mm`: how far the outline is from a skull in contact. `arcs` have their own kinds, the later ones before the
+    earlier; the craniotomy opens them too.
+    What is held by nothing but contact (which holds nobody back from leaving, or from sliding along) also hangs on
+    springs of 1e-6 E / mm along the outline: all its springs together carry under 1e-5 of its weight where contact
+    bears it, and keep it in its place where nothing else does.
     """
 
     kind: str = "fixed"
     craniotomy_mm: float = 20.0
     ramp_mm: float = 4.0
+    gap_mm: float = 0.0
+    arcs: tuple[Arc, ...] = ()
 
     def __post_init__(self):
-        if self.kind not in ("fixed", "sliding", "free"):
-            raise ValueError(f"skull {self.kind!r} is not fixed, sliding or free")
+        _check(self.kind, self.gap_mm)
 
 
 @dataclass(frozen=True, eq=False)
-class Rim:
-    """Points of the outline where it can be held: facet ends, and inner points of facets with branch functions.
+class OutlineConditions:
+    """What acts on the outline: conditions C U = d, springs (n_dof, n_dof) kPa and their load (n_dof,) mN, contacts.
 
-    points (k, 2) mm, parts (k,), and of each point's facet: middles (k, 2) mm, outward normals (k, 2), lengths (k,) mm.
+    weak (n_dof, n_dof) kPa: springs for what nothing but the outline's contacts holds.
     """
 
-    points: np.ndarray
-    parts: np.ndarray
-    middles: np.ndarray
-    normals: np.ndarray
-    lengths: np.ndarray
+    constraints: Constraints
+    springs: csr_array
+    load: np.ndarray
+    contacts: Contacts
+    weak: csr_array
+
+    def __post_init__(self):
+        object.__setattr__(self, "load", frozen_array(self.load, float, (self.springs.shape[0],), "load"))
+
+
+def hung(space: Space, constraints: Constraints, springs, weak) -> csr_array | None:
+    """The `weak` springs of those bodies that conditions and other springs leave free to move; None if there are none.
+    """
+    table = space.enrichment
+    row_body = np.full(table.n_rows, -1)
+    row_body[table.dof] = table.body[:, None]
+    touching = np.unique(row_body[np.flatnonzero(weak.diagonal()) // 2])
+    loose = [body for body in touching if free_motions(space, constraints, springs, body).shape[1]]
+    if not loose:
+        return None
+    own = np.repeat(np.isin(row_body, loose), 2).astype(float)
+    return csr_array(weak.multiply(own[:, None]).multiply(own[None, :]))
+
+
+def _check(kind, gap_mm):
+    if kind not in KINDS:
+        raise ValueError(f"skull {kind!r} is not {', '.join(KINDS[:-1])} or {KINDS[-1]}")
+    if not 0 <= gap_mm < np.inf:
+        raise XfemnavError("E409", f"the gap to the skull is {gap_mm:g} mm; give a length of 0 mm or more.")
 
 
 def skull_conditions(
-    space: Space, skull: Skull, mouths, material: Material | Tissue, measured=None
-) -> tuple[Constraints, csr_array]:
-    """Conditions C U = d on the outline and the spring matrix (n_dof, n_dof) kPa of the ramp.
+    space: Space, skull: Skull, mouths, material: Material | Tissue, measured=None, weight: float | None = None
+) -> OutlineConditions:
+    """Conditions, springs and contacts on the outline.
 
     mouths (m, 2) mm: the mouths about which the skull is open. measured (k, 4 or 5): x, y, ux, uy mm and, where it
-    matters, side (+1 left, -1 right): displacements of the outline, interpolated along it.
-    Raises XfemnavError E408 when the measured points lie off the outline.
+    matters, side (+1 left, -1 right): displacements of the outline, interpolated along it. weight: None to hold them
+    exactly, else kPa / mm: springs of that stiffness, per mm of outline, pull towards them (weighted least squares).
+    Raises XfemnavError E408 when the measured points lie off the outline, E409 for arcs that do.
     """
     n_dof = space.enrichment.n_dof
-    rim = _rim(space)
-    parts = []
-    known = np.zeros(len(rim.points), dtype=bool)
+    rim = rim_points(space)
+    kinds, gaps = _facet_kinds(space, skull)
+    known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
     if measured is not None:
-        known, values = _measured(space, rim, np.asarray(measured, float))
-        parts.append(_vector_conditions(space, rim, known, values[known]))
-    if skull.kind != "free":
-        held = ~known & (_distance(rim.points, mouths) >= _rigid_from(skull, rim.lengths))
-        make = _vector_conditions if skull.kind == "fixed" else _sliding_conditions
-        parts.append(make(space, rim, held, np.zeros((held.sum(), 2))))
-    springs = csr_array((n_dof, n_dof))
-    if skull.kind != "free" and len(mouths):
-        b = len(space.subcells.rim_ends)
-        springs = _springs(space, skull, mouths, material, ~(known[:b] & known[b : 2 * b]))
-    return stack(parts, n_dof), springs
+        known, values = measured_at(space, rim, np.asarray(measured, float))
+    depth = _Depth(space, kinds, skull.craniotomy_mm, mouths)
+    rigid = ~known & (depth(rim.points) >= _rigid_from(skull, rim.lengths))
+    kind = kinds[rim.facet]
+    parts = [
+        _vector_conditions(space, rim, rigid & (kind == "fixed"), np.zeros((len(rim.points), 2))),
+        _sliding_conditions(space, rim, rigid & (kind == "sliding")),
+    ]
+    b = len(kinds)
+    springs = _springs(space, skull, depth, kinds, material, ~(known[:b] & known[b : 2 * b]))
+    load = np.zeros(n_dof)
+    if measured is not None and weight is None:
+        parts.insert(0, _vector_conditions(space, rim, known, values))
+    elif measured is not None:
+        pull, load = _weighted(space, np.asarray(measured, float), weight)
+        springs = csr_array(springs + pull)
+    touching = ~known & (kind == "contact") & (_distance(rim.points, mouths) >= skull.craniotomy_mm)
+    touching[2 * b :] = False
+    contacts = _contacts(space, rim, touching, gaps[rim.facet])
+    weak = np.flatnonzero(touching[:b] | touching[b : 2 * b])
+    return OutlineConditions(stack(parts, n_dof), springs, load, contacts, _weak(space, weak, material))
 
 
-def _rim(space):
-    sub = space.subcells
-    a, b = sub.rim_ends.swapaxes(0, 1)
-    length = np.linalg.norm(b - a, axis=1)
-    outward = _outward(a, b)
-    every, branched = np.arange(len(a)), np.flatnonzero(np.isin(sub.rim_part, space.branch_parts))
-    chosen = [(0.0, every), (1.0, every), (1 / 3, branched), (2 / 3, branched)]
-    points = np.concatenate([a[k] + f * (b - a)[k] for f, k in chosen])
-    facet = np.concatenate([k for _, k in chosen])
-    return Rim(points, sub.rim_part[facet], ((a + b) / 2)[facet], outward[facet], length[facet])
+def _facet_kinds(space, skull):
+    """Kind (b,) and gap (b,) mm of every facet of the outline; an arc has those whose middles lie in it."""
+    sub, mesh = space.subcells, space.mesh
+    kinds = np.full(len(sub.rim_ends), skull.kind, dtype=object)
+    gaps = np.full(len(kinds), float(skull.gap_mm))
+    if not skull.arcs:
+        return kinds, gaps
+    outline = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
+    middles = shapely.points(sub.rim_ends.mean(axis=1))
+    on = shapely.distance(outline, middles) < 1e-6
+    at = shapely.line_locate_point(outline, middles)
+    for arc in skull.arcs:
+        ends = shapely.points(np.array([arc.start, arc.end], float))
+        off = shapely.distance(outline, ends)
+        where = f"arc from ({arc.start[0]:.1f}, {arc.start[1]:.1f}) to ({arc.end[0]:.1f}, {arc.end[1]:.1f}) mm"
+        if not (off <= MEASURED_OFF_MM).all():
+            raise XfemnavError("E409", f"the {where} ends {np.max(off):.1f} mm from the outline; check its frame.")
+        start, end = shapely.line_locate_point(outline, ends)
+        own = on & (np.mod(at - start, outline.length) < np.mod(end - start, outline.length))
+        if not own.any():
+            raise XfemnavError("E409", f"the {where} is shorter than the outline's facets; give ends farther apart.")
+        kinds[own], gaps[own] = arc.kind, arc.gap_mm
+    return kinds, gaps
 
 
-def _outward(a, b):
-    """Unit normals (k, 2) away from the tissue of facets a-b with the tissue on their left."""
-    d = (b - a) / np.linalg.norm(b - a, axis=1)[:, None]
-    return np.stack([d[:, 1], -d[:, 0]], axis=1)
+class _Depth:
+    """How far points (k, 2) mm of the outline are from where the skull's grip begins, (k,) mm: inside it, positive."""
+
+    def __init__(self, space, kinds, craniotomy_mm, mouths):
+        loose = np.isin(kinds, ("free", "contact"))
+        self.open = shapely.MultiLineString(list(space.subcells.rim_ends[loose])) if loose.any() else None
+        self.craniotomy_mm, self.mouths = craniotomy_mm, mouths
+
+    def __call__(self, points):
+        depth = _distance(points, self.mouths) - self.craniotomy_mm
+        return depth if self.open is None else np.minimum(depth, shapely.distance(self.open, shapely.points(points)))
 
 
 def _distance(points, mouths):
@@ -112,37 +196,58 @@ def _single(B):
     return column
 
 
+def _places(space, rim, chosen):
+    """Basis B (k, n_rows) at the chosen rim points; the first of each place, and the place of each: a node that facets
+    share is one."""
+    B = space.basis_in(rim.points[chosen], rim.parts[chosen])
+    column = _single(B)
+    key = np.where(column >= 0, column, B.shape[1] + np.arange(len(column)))
+    _, first, place = np.unique(key, return_index=True, return_inverse=True)
+    return B, first, place
+
+
+def _mean_normals(rim, chosen, n_places, place):
+    """Mean normals (n_places, 2) of the facets that meet at each place."""
+    normals = np.zeros((n_places, 2))
+    np.add.at(normals, place, rim.normals[chosen] * rim.lengths[chosen][:, None])
+    return normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
 def _vector_conditions(space, rim, held, values):
-    """u = value at the held rim points; a node shared by two facets is held once."""
-    B = space.basis_in(rim.points[held], rim.parts[held])
-    column = _single(B)
-    key = np.where(column >= 0, column, B.shape[1] + np.arange(len(column)))
-    _, first = np.unique(key, return_index=True)
-    return vector_rows(B[first], values[first], SKULL)
+    """u = value at the held rim points."""
+    B, first, _ = _places(space, rim, held)
+    return vector_rows(B[first], values[held][first], SKULL)
 
 
-def _sliding_conditions(space, rim, held, _):
-    """n . u = 0 at the held rim points, with the mean normal of the facets that meet at a node."""
-    B = space.basis_in(rim.points[held], rim.parts[held])
-    column = _single(B)
-    key = np.where(column >= 0, column, B.shape[1] + np.arange(len(column)))
-    _, first, group = np.unique(key, return_index=True, return_inverse=True)
-    normals = np.zeros((len(first), 2))
-    np.add.at(normals, group, rim.normals[held] * rim.lengths[held][:, None])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return normal_rows(B[first], normals, np.zeros(len(first)), SKULL)
+def _sliding_conditions(space, rim, held):
+    """n . u = 0 at the held rim points."""
+    B, first, place = _places(space, rim, held)
+    return normal_rows(B[first], _mean_normals(rim, held, len(first), place), np.zeros(len(first)), SKULL)
+
+
+def _contacts(space, rim, chosen, gaps):
+    """n . u <= gap at the chosen ends of facets, each for half a facet on its sides."""
+    B, first, place = _places(space, rim, chosen)
+    normals = _mean_normals(rim, chosen, len(first), place)
+    starts, lengths = (np.arange(len(chosen)) < len(np.unique(rim.facet)))[chosen], rim.lengths[chosen]
+    hats, gap = np.zeros((len(first), 3)), np.full(len(first), np.inf)
+    np.add.at(hats[:, 2], place[starts], lengths[starts])
+    np.subtract.at(hats[:, 0], place[~starts], lengths[~starts])
+    np.minimum.at(gap, place, gaps[chosen])
+    outward = normal_rows(B[first], normals, np.zeros(len(first)), SKULL).C
+    return Contacts(-outward, gap, np.full(len(first), SKULL), rim.points[chosen][first], hats)
 
 
 def _rigid_from(skull, lengths):
-    """Distance (k,) mm from a mouth at which nodes between facets of the given lengths (k,) mm are held rigidly.
+    """Depth (k,) mm at which nodes between facets of the given lengths (k,) mm are held rigidly.
 
     A rigid node acts like a switch .4 h before it. So behind a hard switch nodes nearer than .5 h are left to the
     penalty; at the end of a ramp the springs are stiff already.
     """
-    return skull.craniotomy_mm + skull.ramp_mm + (0.5 * lengths if skull.ramp_mm == 0 else np.zeros(len(lengths)))
+    return skull.ramp_mm + (0.5 * lengths if skull.ramp_mm == 0 else np.zeros(len(lengths)))
 
 
-def _springs(space, skull, mouths, material, unknown):
+def _springs(space, skull, depth, kinds, material, unknown):
     """Integral of k u.u (fixed) or k (n.u)^2 (sliding): the ramp, and the held part of facets that begin free.
 
     On the ramp k = (E / 2 mm) x / (1 - x). Conditions hold nodes, so the grip would begin with the next rigid node:
@@ -151,97 +256,42 @@ def _springs(space, skull, mouths, material, unknown):
     """
     sub = space.subcells
     a, b = sub.rim_ends.swapaxes(0, 1)
-    length = np.linalg.norm(b - a, axis=1)
-    full = skull.craniotomy_mm + skull.ramp_mm
-    ends = np.stack([_distance(a, mouths), _distance(b, mouths)])
-    on_the_ramp = (ends.min(axis=0) < _rigid_from(skull, length)) & (ends.max(axis=0) > skull.craniotomy_mm)
-    near = np.flatnonzero(on_the_ramp & unknown)
-    t, w = _composite_gauss(8, 4)
-    points = (a[near, None] + t[None, :, None] * (b - a)[near, None]).reshape(-1, 2)
-    weights = np.outer(length[near], w).ravel()
-    facet = np.repeat(near, len(t))
-    distance = _distance(points, mouths)
-    x = (distance - skull.craniotomy_mm) / skull.ramp_mm if skull.ramp_mm > 0 else np.zeros(len(points))
-    x = np.clip(x, 0, 0.999)
-    cell = sub.part_cell[sub.rim_part[facet]]
+    ends = np.stack([depth(a), depth(b)])
+    rigid = _rigid_from(skull, np.linalg.norm(b - a, axis=1))
+    on_the_ramp = (ends.min(axis=0) < rigid) & (ends.max(axis=0) > 0)
+    near = np.flatnonzero(on_the_ramp & unknown & np.isin(kinds, ("fixed", "sliding")))
+    rim, weights = rim_quadrature(space, near)
+    distance = depth(rim.points)
+    x = np.clip(distance / skull.ramp_mm, 0, 0.999) if skull.ramp_mm > 0 else np.zeros(len(distance))
+    cell = sub.part_cell[rim.parts]
     beyond = STRADDLE_PENALTY * material.stiffness_in(cell)[:, 0, 0] / space.mesh.sizes[cell]
-    k = weights * np.where(distance >= full, beyond, material.young_in(cell) / RAMP_STIFFNESS_MM * x / (1 - x))
-    points, facet, k = points[k > 0], facet[k > 0], k[k > 0]
-    B = space.basis_in(points, sub.rim_part[facet])
-    if skull.kind == "sliding":
-        C = normal_rows(B, _outward(a, b)[facet], np.zeros(len(k)), SKULL).C
-        return csr_array(C.T @ C.multiply(k[:, None]).tocsr())
-    C = vector_rows(B, np.zeros((len(k), 2)), SKULL).C
-    return csr_array(C.T @ C.multiply(np.repeat(k, 2)[:, None]).tocsr())
+    k = weights * np.where(distance >= skull.ramp_mm, beyond, material.young_in(cell) / RAMP_STIFFNESS_MM * x / (1 - x))
+    B = space.basis_in(rim.points, rim.parts)
+    slides = kinds[rim.facet] == "sliding"
+    along = normal_rows(B, rim.normals, np.zeros(len(k)), SKULL).C
+    sliding = along.T @ along.multiply((k * slides)[:, None]).tocsr()
+    return csr_array(_spring_matrix(space, rim, np.where(slides, 0.0, k)) + sliding)
 
 
-def _composite_gauss(pieces, n):
-    """Points and weights on [0, 1]: n Gauss points in each of equal pieces."""
-    t, w = np.polynomial.legendre.leggauss(n)
-    return ((np.arange(pieces)[:, None] + (t + 1) / 2) / pieces).ravel(), np.tile(w / 2 / pieces, pieces)
+def _spring_matrix(space, rim, k):
+    """Matrix (n_dof, n_dof) kPa of the energy sum k u.u / 2 at rim points, k (q,) kPa."""
+    on = np.flatnonzero(k > 0)
+    C = vector_rows(space.basis_in(rim.points[on], rim.parts[on]), np.zeros((len(on), 2)), SKULL).C
+    return csr_array(C.T @ C.multiply(np.repeat(k[on], 2)[:, None]).tocsr())
 
 
-def _measured(space, rim, measured):
-    """Which rim points lie between measured ones, and their displacements (k, 2) mm, linear along the outline."""
-    sub, mesh = space.subcells, space.mesh
-    if measured.ndim != 2 or measured.shape[1] not in (4, 5) or not np.isfinite(measured[:, :4]).all():
-        raise XfemnavError("E408", "measured boundary displacements need the columns x,y,ux,uy (and side), all finite.")
-    loop = mesh.points[mesh.boundary_loops[0]]
-    outline = shapely.LinearRing(loop)
-    off = outline.distance(shapely.points(measured[:, :2]))
-    if off.max() > MEASURED_OFF_MM:
-        x, y = measured[np.argmax(off), :2]
-        raise XfemnavError(
-            "E408", f"measured point ({x:.1f}, {y:.1f}) mm is {off.max():.1f} mm from the outline; check its frame."
-        )
-    total = outline.length
-    mouths, entering = _mouth_arcs(sub, outline)
-    origin = mouths[0] if len(mouths) else 0.0
-    # A facet's end at a mouth belongs to the facet's own side: a point a little inside the facet tells which.
-    inside = _arc(outline, rim.points + 1e-6 * (rim.middles - rim.points), origin)
-    rim_arc = inside + np.mod(_arc(outline, rim.points, origin) - inside + total / 2, total) - total / 2
-    arc = _arc(outline, measured[:, :2], origin)
-    if measured.shape[1] == 5:
-        arc = _beside_mouth(arc, measured[:, 4], np.mod(mouths - origin, total), entering, total)
-    bounds = (
-        np.concatenate([np.sort(np.mod(mouths - origin, total)), [total]]) if len(mouths) else np.array([0.0, total])
-    )
-    known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
-    for low, high in zip(bounds[:-1], bounds[1:]):
-        own, here = (arc >= low) & (arc <= high), (inside >= low) & (inside <= high)
-        order = np.argsort(arc[own], kind="stable")
-        at, u = arc[own][order], measured[own, 2:4][order]
-        if not len(mouths) and len(at):  # the outline closes on itself
-            at, u = np.concatenate([[at[-1] - total], at, [at[0] + total]]), np.vstack([u[-1], u, u[0]])
-        if len(at):
-            gaps = np.concatenate([[at[0] - low], np.diff(at), [high - at[-1]]])
-            # A measured point itself lies in the gaps on both its sides.
-            around = [gaps[np.searchsorted(at, rim_arc[here] + off)] for off in (-1e-9, 1e-9)]
-            known[here] = np.minimum(*around) <= MEASURED_GAP_MM
-            values[here] = np.stack([np.interp(rim_arc[here], at, u[:, i]) for i in (0, 1)], axis=1)
-    return known, values
+def _weighted(space, measured, weight):
+    """Springs (n_dof, n_dof) kPa and load (n_dof,) mN of the integral of weight (u - measured).v, where it is known."""
+    if not 0 < weight < np.inf:
+        raise XfemnavError("E408", f"measured displacements have the weight {weight:g} kPa/mm; give a positive number.")
+    rim, weights = rim_quadrature(space, np.arange(len(space.subcells.rim_part)), pieces=2)
+    known, values = measured_at(space, rim, measured)
+    k = weight * weights * known
+    load = space.basis_in(rim.points, rim.parts).T @ (k[:, None] * values)
+    return _spring_matrix(space, rim, k), load.ravel()
 
 
-def _arc(outline, points, origin):
-    return np.mod(shapely.line_locate_point(outline, shapely.points(points)) - origin, outline.length)
-
-
-def _mouth_arcs(sub, outline):
-    """Position (m,) mm along the outline of every place where a cut meets it, and +1 if it enters, -1 if it leaves."""
-    ends = np.array([path[end] for path in sub.paths for end in (0, -1)]).reshape(-1, 2)
-    on = outline.distance(shapely.points(ends)) < 1e-6
-    return shapely.line_locate_point(outline, shapely.points(ends[on])), np.tile([1, -1], len(sub.paths))[on]
-
-
-def _beside_mouth(arc, side, mouths, entering, total):
-    """Put measured points with a side on that side of a mouth nearer than 5 mm (or a fiftieth of a short outline).
-
-    With tissue on the left of the outline, the lip on the left of a cut that enters ends before the mouth, and that of
-    one that leaves, right through the organ, begins after it.
-    """
-    arc = arc.copy()
-    for mouth, sense in zip(mouths, entering):
-        ahead = np.mod(arc - mouth + total / 2, total) - total / 2
-        wrong = (np.abs(ahead) < min(5.0, total / 50)) & (side * sense * ahead >= 0) & (side != 0)
-        arc[wrong] = np.mod(mouth - 1e-7 * sense * side[wrong], total)
-    return arc
+def _weak(space, facets, material):
+    """Springs of 1e-6 E / mm along facets of the outline."""
+    rim, weights = rim_quadrature(space, facets, pieces=1, n=2)
+    return _spring_matrix(space, rim, WEAK * weights * material.young_in(space.subcells.part_cell[rim.parts]))

@@ -3,22 +3,28 @@
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array
+from xfemnav.geometry.resection import Resection
+from xfemnav.geometry.snapping import SNAP
 from xfemnav.geometry.subcells import Subcells, embed
-from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
+from xfemnav.mechanics.constraints import Constraints, stack
+from xfemnav.mechanics.contact import join, lip_contacts
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
 from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
 from xfemnav.mechanics.loads import Gravity, Pressure, dead_loads
 from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.nitsche import nitsche_terms
-from xfemnav.mechanics.outline import Skull, skull_conditions
+from xfemnav.mechanics.outline import Skull, hung, skull_conditions
+from xfemnav.mechanics.pieces import Piece, sort_out
 from xfemnav.mechanics.space import Space
 
+LIPS = ("contact", "free")
 LIP_CONSTRAINTS = ("mortar", "nitsche", "pointwise")
 TIP_ENRICHMENTS = ("topological", "geometric", "none")
 MODELS = ("linear", "neo-hookean")
@@ -30,9 +36,10 @@ LOCKING_POISSON = 0.48
 class Problem:
     """Minimise 1/2 U'(K + springs)U - load'U under C U = d and, where surfaces may touch, G U + gap >= 0 (`contacts`).
 
-    springs: the skull's ramp and the terms of Nitsche's condition, as stiffness; spans (r, 2) mm: the held part of each
-    retraction's lip; removed (p,): parts of loose crumbs, not in the result. With the 'neo-hookean' model the tissue's
-    stored energy takes the place of 1/2 U'KU.
+    springs: the skull's ramp and the terms of Nitsche's condition, as stiffness, among them those by which `hung` holds
+    what else only touches; spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts that are
+    resected or loose, not in the result; pieces: the bodies of tissue that cuts and resections leave, largest first. With the
+    'neo-hookean' model the tissue's stored energy takes the place of 1/2 U'KU.
     """
 
     space: Space
@@ -49,7 +56,10 @@ class Problem:
     lip_constraint: str
     hold_tip: bool
     contacts: Contacts | None = None
+    hung: csr_array | None = None
     model: str = "linear"
+    resections: tuple[Resection, ...] = ()
+    pieces: tuple[Piece, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
@@ -81,7 +91,9 @@ def pose(
     retractions: tuple[Retraction, ...] = (),
     *,
     boundary_displacement=None,
-    tip_enrichment: str = "topological",
+    boundary_weight: float | None = None,
+    lips: str = "contact",
+    tip_enrichment: str | None = None,
     tip_radius_mm: float | None = None,
     lip_constraint: str = "mortar",
     hold_tip: bool = False,
@@ -89,6 +101,8 @@ def pose(
     gravity: Gravity | None = None,
     pressures: tuple[Pressure, ...] = (),
     craniotomies=(),
+    resections: tuple[Resection, ...] = (),
+    loose: str = "refuse",
 ) -> Problem:
     """State the problem of Sect. 5: a cut organ in its skull, with retractors on the lips.
 
@@ -96,22 +110,31 @@ def pose(
     ----------
     mesh : the organ; cuts : inside it, from `place_cut`.
     retractions : what holds or pulls the lips; a cut without any is legal.
-    boundary_displacement : (k, 4 or 5) x, y, ux, uy mm [, side]: measured motion of the outline.
-    tip_enrichment : 'topological' (Eq. 4), 'geometric' (all nodes within `tip_radius_mm`) or 'none'.
+    boundary_displacement : (k, 4 or 5) x, y, ux, uy mm [, side]: measured motion of the outline; held exactly, or
+        by springs of `boundary_weight` kPa/mm.
+    lips : 'contact', lips do not pass through each other; or 'free', what nobody holds moves as if it were alone.
+    tip_enrichment : 'topological' (Eq. 4), 'geometric' (all nodes within `tip_radius_mm`) or 'none'; by default 'none'
+        with the neo-Hookean model, else 'topological'.
     lip_constraint : 'mortar' or 'nitsche' (stable), or 'pointwise' (Eqs. 5 and 6); `hold_tip` holds the tip cell's
         crossings too.
     model : 'linear' elasticity, or 'neo-hookean' for finite strains.
     gravity, pressures : dead loads. craniotomies : (m, 2) mm, further places about which the skull is open.
+    resections : tissue taken out, from `place_resection`. loose : what becomes of a piece that nothing holds: 'refuse',
+        'remove', or 'hold' it at its mean.
 
     Raises
     ------
     XfemnavError
-        E305 a cut along the outline, E306 a piece that nothing holds, E402 a blade off its cut, E403 two blades on one
-        lip, E405 lips pushed into each other, E406 nothing holds the organ, E408 measured points off the outline, E411
-        Nitsche's lips with the neo-Hookean model.
+        E305 a cut along the outline, E306 a piece that nothing holds, E311 a resection too small for the mesh, E402 a
+        blade off its cut, E403 two blades on one lip, E405 lips pushed into each other, E406 nothing holds the organ,
+        E408 measured points off the outline, E411 Nitsche's lips with the neo-Hookean model.
     """
     if lip_constraint not in LIP_CONSTRAINTS:
         raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
+    if lips not in LIPS:
+        raise ValueError(f"lips is {lips!r}, not one of {LIPS}")
+    if tip_enrichment is None:
+        tip_enrichment = "topological" if model == "linear" else "none"
     if tip_enrichment not in TIP_ENRICHMENTS:
         raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
     if model not in MODELS:
@@ -124,9 +147,9 @@ def pose(
             f"Poisson's ratio {poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
             "or displacement may be over 5 % off; use 0.45 to 0.48, or smaller elements.",
         )
-    subcells = embed(mesh, cuts)
+    subcells = embed(mesh, cuts, resections)
     space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
-    _refuse_cuts_without_lips(space, cuts)
+    _refuse_cuts_without_lips(space, cuts, resections)
     _warn_of_lost_cuts(space, cuts)
     n_dof = space.enrichment.n_dof
     spans = _spans(space, cuts, retractions, lip_constraint)
@@ -134,8 +157,9 @@ def pose(
     _refuse_swapped(space, cuts, retractions, spans)
     mouths = [path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]
     mouths = np.array([*mouths, *craniotomies]).reshape(-1, 2)
-    outline, springs = skull_conditions(space, skull, mouths, material, boundary_displacement)
-    conditions, load = [outline], dead_loads(space, gravity, pressures)
+    outline = skull_conditions(space, skull, mouths, material, boundary_displacement, boundary_weight)
+    conditions, springs = [outline.constraints], outline.springs
+    load = outline.load + dead_loads(space, gravity, pressures)
     for group, (retraction, span) in enumerate(zip(retractions, spans)):
         if not retraction.holds:
             load += lip_load(space, retraction, span)
@@ -144,8 +168,15 @@ def pose(
             springs, load = csr_array(springs + terms), load + forces
         else:
             conditions.append(lip_rows(space, retraction, span, group, lip_constraint, hold_tip))
-    constraints = stack(conditions, n_dof)
-    removed, crumbs = _loose(space, constraints, springs)
+    weak = hung(space, stack(conditions, n_dof), springs, outline.weak)
+    springs = springs if weak is None else csr_array(springs + weak)
+    constraints, removed, pieces = sort_out(
+        space, cuts, resections, retractions, stack(conditions, n_dof), springs, loose
+    )
+    contacts = [outline.contacts]
+    if lips == "contact":
+        contacts.append(lip_contacts(space, retractions, spans, removed))
+    contacts = join(contacts, n_dof)
     return Problem(
         space,
         cuts,
@@ -153,23 +184,31 @@ def pose(
         skull,
         retractions,
         spans,
-        stack([constraints, *crumbs], n_dof),
+        constraints,
         springs,
         load,
         removed,
         tip_enrichment,
         lip_constraint,
         hold_tip,
+        contacts=contacts if len(contacts.gap) else None,
+        hung=weak,
         model=model,
+        resections=resections,
+        pieces=pieces,
     )
 
 
-def _refuse_cuts_without_lips(space, cuts):
-    """A cut within 1e-3 h of the outline is snapped onto it, where tissue is on one side only: it cuts nothing."""
+def _refuse_cuts_without_lips(space, cuts, resections):
+    """A cut within 1e-3 h of the outline is snapped onto it, where tissue is on one side only: it cuts nothing.
+
+    What lies in a resection, or along its wall, has been cut and taken out.
+    """
     sub = space.subcells
+    gone = shapely.union_all([r.region.buffer(4 * SNAP * space.mesh.sizes.max()) for r in resections])
     for k, cut in enumerate(cuts):
         own = sub.lip_cut == k
-        lost = cut.length - np.diff(sub.lip_arc[own], axis=1).sum()
+        lost = shapely.LineString(cut.path).difference(gone).length - np.diff(sub.lip_arc[own], axis=1).sum()
         if lost > 0.1 * min(cut.length, space.mesh.sizes.min()):
             raise XfemnavError(
                 "E305",
@@ -184,7 +223,7 @@ def _warn_of_lost_cuts(space, cuts):
     for k, cut in enumerate(cuts):
         own = sub.lip_cut == k
         size = space.mesh.sizes[sub.part_cell[sub.lip_parts[own]]].mean() if own.any() else np.inf
-        if not cut.mouth and cut.length < 3 * size:
+        if own.any() and not cut.mouth and cut.length < 3 * size:
             split = (table.dof[sub.lip_parts[own, 0]] != table.dof[sub.lip_parts[own, 1]]).any()
             branch = np.isin(sub.lip_parts[own], table.entry_part).any() and (table.kind >= BRANCH).any()
             warn(
@@ -232,60 +271,3 @@ def _refuse_swapped(space, cuts, retractions, spans):
                     f"left and right look swapped on cut '{cuts[one.cut].name}': its lips are pushed "
                     f"{-opening.min():.1f} mm into each other; left is left when walking from the mouth to the tip.",
                 )
-
-
-def _loose(space, constraints, springs):
-    """Bodies that can move rigidly: crumbs are removed (W311), larger ones refused (E306; E406 for the whole organ)."""
-    table, sub = space.enrichment, space.subcells
-    area = np.bincount(sub.part, sub.areas, sub.n_parts)
-    body_area = np.bincount(table.body, area)
-    removed, crumbs = np.zeros(sub.n_parts, dtype=bool), []
-    for body in np.flatnonzero(_is_floating(space, constraints, springs)):
-        parts = np.flatnonzero(table.body == body)
-        where = sub.corners[np.isin(sub.part, parts)].mean(axis=(0, 1))
-        place = f"({where[0]:.1f}, {where[1]:.1f}) mm"
-        if len(body_area) == 1:
-            raise XfemnavError(
-                "E406",
-                "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
-                "use --skull fixed, or hold a lip.",
-            )
-        if body_area[body] < np.median(space.mesh.areas):
-            warn("W311", f"a loose piece of {body_area[body]:.3g} mm2 at {place} was cut free and removed.")
-            removed[parts] = True
-            rows = np.unique(table.dof[parts])
-            pick = csr_array((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), table.n_rows))
-            crumbs.append(vector_rows(pick, np.zeros((len(rows), 2)), SKULL))
-            continue
-        raise XfemnavError(
-            "E306",
-            f"the cut separates {100 * body_area[body] / area.sum():.1f} % of the organ ({body_area[body]:.0f} mm2, "
-            f"about {place}) from the rest, and nothing holds that piece; let the cut end inside, or hold the piece.",
-        )
-    return removed, crumbs
-
-
-def _is_floating(space, constraints, springs):
-    """For each body, whether some rigid motion of it meets no condition and no spring."""
-    table, mesh = space.enrichment, space.mesh
-    row_body = np.zeros(table.n_rows, dtype=int)
-    row_body[table.dof] = table.body[:, None]
-    held = table.kind < BRANCH
-    x = mesh.points[table.node] - mesh.points.mean(axis=0)
-    x /= np.abs(x).max()
-    # A row's length is its unit's and its element's business; whether it is met is not.
-    length = np.sqrt(np.asarray(constraints.C.multiply(constraints.C).sum(axis=1)).ravel())
-    rows = constraints.C.multiply(1 / np.maximum(length, 1e-300)[:, None]).tocsr()
-    floating = []
-    for body in range(table.body.max() + 1):
-        own = (held & (row_body == body)).astype(float)
-        centred = (x - np.average(x, axis=0, weights=own)) if own.any() else x
-        radius = np.sqrt(np.average((centred**2).sum(axis=1), weights=own)) if own.any() else 1.0
-        motions = np.zeros((table.n_dof, 3))
-        motions[0::2, 0], motions[1::2, 1] = own, own
-        motions[0::2, 2], motions[1::2, 2] = -own * centred[:, 1] / radius, own * centred[:, 0] / radius
-        met = rows @ motions
-        scale = max(np.abs(springs.data).max(initial=0.0), 1e-300)
-        work = met.T @ met + motions.T @ (springs @ motions) / scale
-        floating.append(np.linalg.eigvalsh(work)[0] < 1e-8)
-    return np.array(floating)

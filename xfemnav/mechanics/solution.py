@@ -6,17 +6,23 @@ import numpy as np
 import shapely
 from scipy.sparse import csc_array, csr_array, eye_array
 
+from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array, orient
 from xfemnav.mechanics.constraints import eliminate, multipliers
+from xfemnav.mechanics.contact import ContactForce, contact_forces
 from xfemnav.mechanics.elasticity import stiffness
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.fan import graded_triangles
 from xfemnav.mechanics.fracture import FreeTip, free_tips
+from xfemnav.mechanics.hyperelastic import Equilibrium, equilibrium
 from xfemnav.mechanics.lips import lip_quadrature, lip_rows
 from xfemnav.mechanics.minimise import minimise
 from xfemnav.mechanics.nitsche import nitsche_traction
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
+
+#: The part of the load that weak springs may bear in the place of the skull.
+DRIFT = 0.05
 
 
 @dataclass(frozen=True)
@@ -35,8 +41,11 @@ class Solution:
 
     U (n_rows, 2) mm: coefficients of the basis; residual: relative; energy: strain energy, kPa mm^2 (per mm thick).
     Triangles of the cut organ, finer at the tips: rest (t, 3, 2) mm, moved (t, 3, 2) mm, the part (t,) of each,
-    strain (t, 3) xx, yy, xy, and det_F (t,), the ratio of moved to resting area. outline (k, 2) mm: the organ's moved
-    outline, a closed loop that bridges the mouths by straight lines. What the cut costs: nnz entries of the stiffness
+    strain (t, 3) xx, yy, xy (Green-Lagrange's with the neo-Hookean model), and det_F (t,), the ratio of moved to
+    resting area. outline (k, 2) mm: the organ's moved outline, a closed loop that bridges the mouths by straight lines.
+    contact: where lips press on each other and the outline on the skull; min_gap_mm: the smallest mean gap there.
+    linear_difference_mm: the largest distance between a moved corner and where the linear model puts it; load_steps
+    and newton_iterations: what the neo-Hookean model took. What the cut costs: nnz entries of the linear stiffness
     matrix, added_nnz of them beyond those of plain elements, and its memory in kB.
     """
 
@@ -51,9 +60,15 @@ class Solution:
     det_F: np.ndarray
     outline: np.ndarray
     retractor: tuple[RetractorForce, ...]
+    contact: tuple[ContactForce, ...]
+    min_gap_mm: float | None
     tips: tuple[FreeTip, ...]
     lip_error_rms_mm: float
     lip_error_max_mm: float
+    model: str
+    load_steps: int
+    newton_iterations: int
+    linear_difference_mm: float
     nnz: int
     added_nnz: int
     matrix_kB: float
@@ -90,15 +105,28 @@ class Solution:
         return float(self.det_F[order][np.searchsorted(share, 0.01 * share[-1])])
 
     @property
+    def largest_strain(self) -> float:
+        """The largest absolute principal strain that 1 % of the tissue, by area, exceeds.
+
+        Not the maximum, which a finer mesh raises without end at tips, blades' ends and edges of the bone.
+        """
+        mean, half = (self.strain[:, 0] + self.strain[:, 1]) / 2, (self.strain[:, 0] - self.strain[:, 1]) / 2
+        size = np.abs(mean) + np.hypot(half, self.strain[:, 2])
+        order = np.argsort(size)
+        share = np.cumsum(self.rest_areas[order])
+        return float(size[order][np.searchsorted(share, 0.99 * share[-1])])
+
+    @property
     def max_displacement_mm(self) -> float:
         """Largest displacement of a triangle's corner, mm."""
         return float(np.linalg.norm(self.moved - self.rest, axis=2).max())
 
 
 def solve(problem: Problem) -> Solution:
-    """Minimise 1/2 U'KU - f'U under the problem's conditions.
+    """Minimise 1/2 U'KU - f'U under the problem's conditions; or the potential energy of neo-Hookean tissue.
 
-    The conditions are eliminated exactly (U = U0 + T q); see `minimise` for what is left. Raises XfemnavError E407.
+    The conditions are eliminated exactly (U = U0 + T q); see `minimise` and `equilibrium` for what is left. Raises
+    XfemnavError E405, E407; E410 where neo-Hookean tissue has no equilibrium.
     """
     elastic = stiffness(problem.space, problem.material)
     K = (elastic + problem.springs).tocsc()
@@ -106,27 +134,54 @@ def solve(problem: Problem) -> Solution:
     constraints = problem.constraints
     U0, T = eliminate(replace(constraints, C=constraints.C @ basis))
     U0, T = basis @ U0, (basis @ T).tocsc()
-    found = minimise(K, problem.load, U0, T, problem.contacts)
+    linear = minimise(K, problem.load, U0, T, problem.contacts)
+    if problem.model == "linear":
+        tissue = elastic @ linear.U
+        found = Equilibrium(linear.U, linear.residual, tissue, float(linear.U @ tissue / 2), linear.force, 1, 1)
+    else:
+        found = equilibrium(problem, U0, T, linear)
     U = found.U
-    reaction = K @ U - problem.load
-    if problem.contacts is not None:
-        reaction = reaction - problem.contacts.G.T @ found.force
-    energy = float(U @ (elastic @ U) / 2)
+    _refuse_drift(problem, U)
+    reaction = found.tissue + problem.springs @ U - problem.load
+    touching = problem.contacts
+    if touching is not None:
+        reaction = reaction - touching.G.T @ found.force
     U = U.reshape(-1, 2)
+    triangles = _triangles(problem, U)
+    by_linear = _moved(problem, triangles["rest"], triangles["part"], linear.U.reshape(-1, 2))
     return Solution(
         U=U,
         residual=found.residual,
-        energy=energy,
-        **_triangles(problem, U),
+        energy=found.energy,
+        **triangles,
         outline=_moved_outline(problem, U),
         retractor=_forces(problem, reaction, U),
-        tips=free_tips(problem, U),
+        contact=() if touching is None else contact_forces(touching, found.force),
+        min_gap_mm=None if touching is None else float((touching.G @ found.U + touching.gap).min()),
+        tips=free_tips(problem, U, found.force) if problem.model == "linear" else (),
         **_lip_error(problem, U),
+        model=problem.model,
+        load_steps=found.load_steps,
+        newton_iterations=found.newton_iterations,
+        linear_difference_mm=float(np.linalg.norm(triangles["moved"] - by_linear, axis=2).max()),
         nnz=elastic.nnz,
         # Plain elements couple each node with itself and its neighbours, both components.
         added_nnz=elastic.nnz - 4 * (len(problem.mesh.points) + 2 * len(problem.mesh.edges)),
         matrix_kB=(elastic.data.nbytes + elastic.indices.nbytes + elastic.indptr.nbytes) / 1000,
     )
+
+
+def _refuse_drift(problem, U):
+    """What only touches the skull, and hangs on weak springs, must be pressed onto it by its load."""
+    if problem.hung is None:
+        return
+    carried, load = np.abs(problem.hung @ U).sum(), np.abs(problem.load).sum()
+    if carried > DRIFT * load:
+        raise XfemnavError(
+            "E406",
+            f"nothing holds the organ: the skull that it only touches does not bear {carried / load:.0%} of its load; "
+            "hold an arc of the outline or a lip, or turn the load towards the skull.",
+        )
 
 
 def scaled_basis(problem: Problem, K) -> csr_array:
@@ -144,16 +199,19 @@ def _triangles(problem, U):
     rest, part = graded_triangles(space)
     keep = ~problem.removed[part]
     rest, part = rest[keep], part[keep]
-    u = (space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3)) @ U).reshape(-1, 3, 2)
+    moved = _moved(problem, rest, part, U)
+    u = moved - rest
     area = orient(*rest.swapaxes(0, 1))
     opposite = rest[:, [2, 0, 1]] - rest[:, [1, 2, 0]]
     gradient = np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1) / area[:, None, None]
     H = np.einsum("tai,taj->tij", u, gradient)
     strain = np.stack([H[:, 0, 0], H[:, 1, 1], (H[:, 0, 1] + H[:, 1, 0]) / 2], axis=1)
+    if problem.model != "linear":
+        strain += np.einsum("tki,tkj->tij", H, H).reshape(-1, 4)[:, [0, 3, 1]] / 2
     det_F = (1 + H[:, 0, 0]) * (1 + H[:, 1, 1]) - H[:, 0, 1] * H[:, 1, 0]
     return {
         "rest": rest,
-        "moved": rest + u,
+        "moved": moved,
         "part": part,
         "body": problem.enrichment.body[part],
         "strain": strain,
@@ -161,15 +219,41 @@ def _triangles(problem, U):
     }
 
 
+def _moved(problem, rest, part, U):
+    """Moved corners (t, 3, 2) mm of triangles (t, 3, 2) mm at rest in parts (t,)."""
+    return rest + (problem.space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3)) @ U).reshape(rest.shape)
+
+
 def _moved_outline(problem, U):
-    """Moved facets of the longest boundary loop, end to end; a straight line bridges each mouth."""
+    """Moved facets of the longest boundary loop, end to end; a straight line bridges each mouth.
+
+    Where tissue was removed at the surface the resting outline goes on, moved as its two ends are, linearly between.
+    """
     sub, mesh = problem.subcells, problem.mesh
-    ring = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
+    loop = mesh.points[mesh.boundary_loops[0]]
+    ring = shapely.LinearRing(loop)
     middles = shapely.points(sub.rim_ends.mean(axis=1))
-    own = shapely.distance(ring, middles) < 1e-6
-    order = np.flatnonzero(own)[np.argsort(shapely.line_locate_point(ring, middles[own]))]
-    ends = sub.rim_ends[order].reshape(-1, 2)
-    return ends + problem.space.basis_in(ends, np.repeat(sub.rim_part[order], 2)) @ U
+    own = np.flatnonzero((shapely.distance(ring, middles) < 1e-6) & ~problem.removed[sub.rim_part])
+    if not len(own):
+        return loop
+    arc = shapely.line_locate_point(ring, middles[own])
+    own = own[np.argsort(arc)]
+    ends = sub.rim_ends[own]
+    u = (problem.space.basis_in(ends.reshape(-1, 2), np.repeat(sub.rim_part[own], 2)) @ U).reshape(-1, 2, 2)
+    half = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / 2
+    start, stop = np.sort(arc) - half, np.sort(arc) + half
+    gap = np.append(start[1:], start[0] + ring.length) - stop
+    node = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
+    moved = []
+    for k in range(len(own)):
+        moved.append(ends[k] + u[k])
+        if gap[k] > 1e-6:
+            t = np.mod(node - stop[k], ring.length) / gap[k]
+            inside = np.flatnonzero((t > 0) & (t < 1))
+            inside = inside[np.argsort(t[inside])]
+            t = t[inside, None]
+            moved.append(loop[inside] + (1 - t) * u[k, 1] + t * u[(k + 1) % len(own), 0])
+    return np.concatenate(moved)
 
 
 def _forces(problem, reaction, U):
@@ -187,7 +271,7 @@ def _forces(problem, reaction, U):
         away = retraction.side * q.normals
         if not retraction.holds:
             total = np.asarray(retraction.force_mN_per_mm)
-            normal = (q.weights * (away @ total)).sum() / (span[1] - span[0])
+            normal = (q.weights * (away @ total)).sum() / q.weights.sum()
         elif problem.lip_constraint == "nitsche":
             at, traction = nitsche_traction(space, problem.material, retraction, span, U)
             total = at.weights @ traction
@@ -197,7 +281,7 @@ def _forces(problem, reaction, U):
             unit = replace(retraction, displacement_mm=None, normal_mm=1.0)
             total = (lambdas[rows] * weights[rows]).reshape(-1, 2).sum(axis=0)
             normal = lambdas[rows] @ lip_rows(space, unit, span, group, problem.lip_constraint, problem.hold_tip).d
-        pressure = float(normal / (span[1] - span[0]))
+        pressure = float(normal / q.weights.sum())
         forces.append(RetractorForce(retraction.cut, retraction.side, tuple(total.tolist()), pressure))
     return tuple(forces)
 
