@@ -90,7 +90,8 @@ def lip_gaps(space: Space, U, cut: int) -> tuple[np.ndarray, np.ndarray]:
 def _stretch_contacts(space, cut, span):
     """Mean gaps over the hats of one stretch (from, to) mm of a cut."""
     knots = knots_along(space, cut, span)
-    left, right = (lip_quadrature(space, cut, side, span, knots) for side in (LEFT, RIGHT))
+    breaks = np.concatenate([knots, _towards_tips(space, cut)])
+    left, right = (lip_quadrature(space, cut, side, span, breaks) for side in (LEFT, RIGHT))
     weights = hats_at(left.arc, knots).multiply(left.weights).tocsr()
     weights = csr_array(weights.multiply(1 / weights.sum(axis=1)[:, None]))
     B = space.basis_in(left.points, left.parts) - space.basis_in(right.points, right.parts)
@@ -98,6 +99,16 @@ def _stretch_contacts(space, cut, span):
     hats = np.stack([np.append(knots[0], knots[:-1]), knots, np.append(knots[1:], knots[-1])], axis=1)
     n = len(knots)
     return Contacts(weights @ jump, np.zeros(n), np.full(n, cut), weights @ left.points, hats)
+
+
+def _towards_tips(space, cut):
+    """Arc (k,) mm of pieces that halve towards the cut's tips: Gauss points follow the branch functions there."""
+    sub = space.subcells
+    own = np.flatnonzero(sub.lip_cut == cut)
+    h, (start, stop) = space.mesh.sizes.max(), (sub.lip_arc[own].min(), sub.lip_arc[own].max())
+    pieces = 4 * h * 0.5 ** np.arange(20)
+    ends = sub.tip_end[sub.tip_cut == cut]
+    return np.concatenate([start + pieces if end == 0 else stop - pieces for end in ends] or [np.empty(0)])
 
 
 def _stretches(space, cut, held, removed):

@@ -43,7 +43,8 @@ class Solution:
     Triangles of the cut organ, finer at the tips: rest (t, 3, 2) mm, moved (t, 3, 2) mm, the part (t,) of each,
     strain (t, 3) xx, yy, xy (Green-Lagrange's with the neo-Hookean model), and det_F (t,), the ratio of moved to
     resting area. outline (k, 2) mm: the organ's moved outline, a closed loop that bridges the mouths by straight lines.
-    contact: where lips press on each other and the outline on the skull; min_gap_mm: the smallest mean gap there.
+    contact: where lips press on each other and the outline on the skull, by contact_force (g,) mN per mm, those of the
+    problem's `contacts`; min_gap_mm: the smallest mean gap there.
     linear_difference_mm: the largest distance between a moved corner and where the linear model puts it; load_steps
     and newton_iterations: what the neo-Hookean model took. What the cut costs: nnz entries of the linear stiffness
     matrix, added_nnz of them beyond those of plain elements, and its memory in kB.
@@ -61,6 +62,7 @@ class Solution:
     outline: np.ndarray
     retractor: tuple[RetractorForce, ...]
     contact: tuple[ContactForce, ...]
+    contact_force: np.ndarray
     min_gap_mm: float | None
     tips: tuple[FreeTip, ...]
     lip_error_rms_mm: float
@@ -82,6 +84,7 @@ class Solution:
             ("strain", (t, 3)),
             ("det_F", (t,)),
             ("outline", (None, 2)),
+            ("contact_force", (None,)),
         ):
             object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
         for name in ("part", "body"):
@@ -156,6 +159,7 @@ def solve(problem: Problem) -> Solution:
         **triangles,
         outline=_moved_outline(problem, U),
         retractor=_forces(problem, reaction, U),
+        contact_force=found.force,
         contact=() if touching is None else contact_forces(touching, found.force),
         min_gap_mm=None if touching is None else float((touching.G @ found.U + touching.gap).min()),
         tips=free_tips(problem, U, found.force) if problem.model == "linear" else (),
