@@ -165,6 +165,7 @@ BAD = {
     "unit list": text(markup(coordinateUnits=["mm"])), "unit number": text(markup(coordinateUnits=1)),
     "surface": text(markup(kind="Curve", curveType="shortestSurfaceDistance")),
     "curve type list": text(markup(kind="Curve", curveType=["linear"])),
+    "many": '{"markups": [' + "{}, " * 1000 + "{}]}",
     "nothing": text(), "array": "[1, 2, 3]", "another": '{"points": []}', "null markups": '{"markups": [null]}',
     "cut off": text(markup())[:-30], "zero": "", "deep": deep(40), "deeper": deep(100_000), "latin-1": b'{"\xe9": 1}',
     "utf-16": text(markup()).encode("utf-16"), "nul": b"\0" * 100,

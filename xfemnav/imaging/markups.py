@@ -14,7 +14,7 @@ import numpy as np
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.points import FARTHEST, LEAST, LPS, RAS, PointSet, point_set, shown, unusable
 
-LIMIT_DEPTH = 32
+LIMIT_DEPTH, LIMIT_MARKUPS = 32, 1000
 # Slicers before 5.1 read no file whose schema has another address.
 SCHEMA = ("https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
           "markups-schema-v1.0.3.json#")
@@ -65,6 +65,8 @@ def _markups(text: str, file: str) -> list[dict]:
     if not isinstance(markups, list) or not markups or not all(isinstance(markup, dict) for markup in markups):
         raise unusable(file, "holds no list 'markups', so it is no markups file. Save the points from Slicer's Markups "
                              "module as .mrk.json.")
+    if len(markups) > LIMIT_MARKUPS:
+        raise unusable(file, f"holds {len(markups)} markups; at most {LIMIT_MARKUPS} are read. Save those you need.")
     return markups
 
 
