@@ -6,6 +6,7 @@ from itertools import permutations, product
 import numpy as np
 from nilearn.datasets import load_mni152_brain_mask, load_mni152_template
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
 from data_synthetic.phantom import GRIDS, Phantom
 from xfemnav.imaging.masks import one_piece
@@ -66,3 +67,20 @@ def head_of(slice: Slice, rng: np.random.Generator, bridges: int = 3) -> tuple[S
     clean = ndimage.gaussian_filter(values.astype(float), 0.6) * coil
     noise = rng.normal(0, 20, (2, *mask.shape))
     return replace(slice, values=np.hypot(clean + noise[0], noise[1])), mask
+
+
+def oblique_volume() -> tuple[Image, np.ndarray]:
+    """A small volume with uneven voxels, turned against all axes of the world, of whole numbers with negative ones;
+    and points (n, 3) RAS mm inside it."""
+    rng = np.random.default_rng(7)
+    turn = Rotation.from_euler("xyz", [20, -35, 50], degrees=True).as_matrix()
+    affine = affine_of(turn * [0.8, 1.3, 2.5], (-31.7, 24.9, 11.3))
+    values = rng.integers(-300, 300, (7, 6, 5)).astype(float)
+    inside = rng.uniform(0, 1, (40, 3)) * (np.array(values.shape) - 1)
+    return image_of(values, affine), inside @ affine[:3, :3].T + affine[:3, 3]
+
+
+def values_at(image: Image, points) -> np.ndarray:
+    """Linear interpolation (n,) of an image at points (n, 3) RAS mm; NaN outside."""
+    voxels = np.linalg.solve(image.affine[:3, :3], (points - image.affine[:3, 3]).T)
+    return ndimage.map_coordinates(image.values, voxels, order=1, cval=np.nan)

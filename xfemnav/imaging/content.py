@@ -78,7 +78,7 @@ def read(stream, n_bytes: int, name: str) -> bytes:
     return b"".join(parts)
 
 
-class _Zlib:
+class Zlib:
     """Reads a zlib stream as gzip.GzipFile reads its own, to the end of its checksum."""
 
     def __init__(self, packed: bytes):
