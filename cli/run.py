@@ -38,8 +38,12 @@ INPUT = (
     click.option("--max-memory", type=float, metavar="GB", help="Largest image to read.  [4]"),
 )
 MESH = (
-    click.option("--cut", multiple=True, metavar="'X,Y X,Y ...'",
-                 help="Points of a cut, mouth first, 2 numbers (plane mm) or 3 (world mm); repeat for more cuts."),
+    click.option("--cut", multiple=True, metavar="'X,Y X,Y ...'|FILE",
+                 help="Points of a cut, mouth first, 2 numbers (plane mm) or 3 (world mm), or a point file (.mrk.json, "
+                      ".fcsv, .csv, .tag); repeat for more cuts."),
+    click.option("--markup", metavar="NAME", help="Which markup of a point file with several."),
+    click.option("--resect", multiple=True, metavar="'X,Y X,Y ...'|FILE|label=N",
+                 help="Closed outline of what is taken out, a point file with it, a mask, or a label of --labels."),
     click.option("--mesh", type=FILE, metavar="FILE.vtu", help="A mesh of yours: VTU triangles in RAS mm."),
     click.option("--element-size-mm", type=float, metavar="H", help="Edge length of the elements.  [3]"),
     click.option("--corridor-mm", type=float, metavar="W", help="Fine band on either side of the cuts; 0: none.  [12]"),
@@ -57,7 +61,16 @@ MECHANICS = (
     click.option("--young-kpa", type=float, metavar="E", help="Young's modulus.  [3]"),
     click.option("--poisson", type=float, metavar="NU", help="Poisson's ratio.  [0.45]"),
     click.option("--stress-state", type=_choice("strain", "stress"), help="Plane strain or plane stress.  [strain]"),
-    click.option("--skull", type=_choice("fixed", "sliding", "free"), help="What holds the outline.  [fixed]"),
+    click.option("--labels", type=FILE, help="Label map, for --resect label=N and the tissues of a scenario."),
+    click.option("--gravity", metavar="X,Y", help="Direction of gravity in the plane, plane RAS; none by default."),
+    click.option("--model", type=_choice("linear", "neo-hookean"), help="Small strains or finite ones.  [linear]"),
+    click.option("--skull", type=_choice("fixed", "sliding", "free", "contact"),
+                 help="What holds the outline.  [fixed]"),
+    click.option("--skull-gap-mm", type=float, metavar="G", help="Gap to the skull, for contact.  [0]"),
+    click.option("--lips", type=_choice("contact", "free"),
+                 help="Lips that nobody holds: they do not pass through each other, or are free.  [contact]"),
+    click.option("--loose-pieces", type=_choice("refuse", "hold", "remove"),
+                 help="Pieces cut free that nothing holds.  [refuse]"),
     click.option("--craniotomy-mm", type=float, metavar="R", help="Outline freed about a cut's mouth.  [20]"),
     click.option("--skull-ramp-mm", type=float, metavar="R", help="Length over which the skull's grip sets in.  [4]"),
     click.option("--boundary-displacement", type=FILE, metavar="FILE.csv",
@@ -72,6 +85,15 @@ WARP = (
     click.option("--interp", type=_choice("linear", "cubic", "nearest"), help="Interpolation.  [linear]"),
     click.option("--outside", type=_choice("keep", "zero"), help="Pixels outside the organ.  [keep]"),
     click.option("--fill", type=float, metavar="VALUE", help="Value of cavity pixels.  [0]"),
+    click.option("--transforms", type=_choice("none", "itk", "all"),
+                 help="The motion for other programs: one ITK transform, or every form and direction.  [itk]"),
+)
+CARRIED = (
+    click.option("--companion", multiple=True, metavar="[KIND=]FILE",
+                 help="Another image to carry along: KIND continuous, label, vector or tensor; repeat.  [continuous]"),
+    click.option("--points", multiple=True, type=FILE, metavar="FILE",
+                 help="Landmarks to move: .mrk.json, .fcsv, .csv, .tag; repeat."),
+    click.option("--streamlines", multiple=True, type=FILE, metavar="FILE", help="Tractogram to move: .trk, .tck."),
 )
 RUNNING = (
     click.option("-o", "--output", type=FILE, metavar="DIR", help="Output folder.  [./<stem>_xfemnav]"),
@@ -102,7 +124,7 @@ def _with(*groups):
 
 
 @click.command()
-@_with(IMAGE, INPUT, MESH, MECHANICS, WARP, RUNNING, WHOLE)
+@_with(IMAGE, INPUT, MESH, MECHANICS, WARP, CARRIED, RUNNING, WHOLE)
 def run(**given):
     """Update IMAGE after a cut: all stages, reusing finished ones."""
     return execute(**given)
@@ -121,12 +143,12 @@ stage_commands = (
     _stage_command("mesh", (INPUT, MESH), "Mesh the organ; earlier stages run through the cache."),
     _stage_command("constrain", (INPUT, MESH, MECHANICS), "Embed the cuts in the mesh and pose the problem."),
     _stage_command("solve", (INPUT, MESH, MECHANICS), "Solve for the motion of the tissue."),
-    _stage_command("warp", (INPUT, MESH, MECHANICS, WARP), "Make the updated image, without figure and report."),
+    _stage_command("warp", (INPUT, MESH, MECHANICS, WARP, CARRIED), "Make the updated image, without a report."),
 )
 
 
 @click.command()
-@_with(MESH, MECHANICS, WARP, RUNNING, WHOLE)
+@_with(MESH, MECHANICS, WARP, CARRIED, RUNNING, WHOLE)
 def demo(**given):
     """The paper's experiment on a real slice: MNI152 T1, axial z = +18 mm, cut and opened by +-(3.5, 1) mm.
 

@@ -12,9 +12,11 @@ from pathlib import Path
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.pipeline.cache import Cache, Entry
 from xfemnav.pipeline.config import STAGES as ORDER
-from xfemnav.pipeline.config import Config, ReadParams
+from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.keys import canonical, digest, file_digest, stage_key
-from xfemnav.pipeline.stages import FIGURE, IMAGING, STAGES, Stage
+from xfemnav.pipeline.parameters import ReadParams
+from xfemnav.pipeline.stage import Stage
+from xfemnav.pipeline.stages import CARRY, FIGURE, IMAGING, STAGES
 
 # --volume and --nan are the image's alone: what to do about another file that would need them.
 REMEDIES = {
@@ -22,6 +24,8 @@ REMEDIES = {
     "E103": "has NaN or infinite voxels, and --nan is the image's alone. Save it with numbers in their place.",
 }
 FACTS, VALUE = "facts.json", ("value.json", "value.npz")
+OF_SEVERAL_FILES = (".mhd", ".nhdr")  # headers with the voxels in a file beside them
+STEPWISE = ("constrain", "solve", "warp")  # the stages that every step has of its own
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,10 @@ class Warned:
 
 @dataclass(frozen=True)
 class Done:
-    """A finished stage: how it came ('ran', 'cached', 'healed'), its entry, and what it reported."""
+    """A finished stage: how it came ('ran', 'cached', 'healed'), its entry, what it reported; its step, "" for none."""
 
     name: str
+    step: str
     status: str
     seconds: float
     entry: Entry
@@ -46,32 +51,46 @@ class Done:
     @property
     def line(self) -> str:
         """The stage's key figure in a few words."""
-        return STAGES[self.name].line(self.facts)
+        return {**STAGES, CARRY.name: CARRY}[self.name].line(self.facts)
 
     def public(self) -> dict[str, Path]:
-        """Public files of the stage in the cache, by role."""
+        """Public files of the stage in the cache, by the first part of their name."""
         folder = self.entry.folder / "public"
         return {path.name.split(".")[0]: path for path in sorted(folder.iterdir())} if folder.is_dir() else {}
 
 
 @dataclass
 class Inputs:
-    """What a stage may read: values of earlier stages and input files, each loaded when it is first asked for."""
+    """What a stage may read: values of earlier stages and input files, each loaded when it is first asked for.
 
-    files: dict[str, Path]
-    read: ReadParams
-    max_memory_gb: float
+    `step` is the index of the step under way. Stages of steps before the last are kept as "solve:0", "solve:1", ...
+    """
+
+    config: Config
+    step: int = -1
     done: dict[str, Done] = field(default_factory=dict)
     values: dict[str, object] = field(default_factory=dict)
     images: dict[str, object] = field(default_factory=dict)
 
-    def value(self, stage: str):
-        """Value of a finished stage."""
-        if stage not in self.values:
+    def label(self, stage: str, step: int | None = None) -> str:
+        """What a stage of the step under way, or of another, is kept as."""
+        step = self.step if step is None else step
+        last = step in (-1, len(self.config.steps) - 1)
+        return stage if last or stage not in STEPWISE else f"{stage}:{step}"
+
+    def value(self, stage: str, step: int | None = None):
+        """Value of a finished stage, of the step under way unless another is named."""
+        label = self.label(stage, step)
+        if label not in self.values:
             from xfemnav.pipeline.store import load
 
-            self.values[stage] = load(self.done[stage].entry.folder)
-        return self.values[stage]
+            self.values[label] = load(self.done[label].entry.folder)
+        return self.values[label]
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Input files by role."""
+        return self.config.files
 
     def image(self, role: str):
         """The decoded image of an input file. What reading warns of was told when the file was digested."""
@@ -82,21 +101,23 @@ class Inputs:
 
     def reading(self, role: str) -> ReadParams:
         """How a file is read: pixel sizes given by hand are those of the mask too, and NaN in a mask is background."""
-        return {"image": self.read, "mask": ReadParams(nan=0.0, spacing=self.read.spacing),
-                "template_mask": ReadParams(nan=0.0)}.get(role, ReadParams())
+        own, background = self.config.read, ReadParams(nan=0.0)
+        return {"image": own, "mask": ReadParams(nan=0.0, spacing=own.spacing), "template_mask": background,
+                "labels": background, "resection": background, "companion": background}.get(kind(role), ReadParams())
 
     def decoded(self, role: str):
-        """Read and decode an input file."""
-        from xfemnav.imaging.reading import read_image
+        """Read and decode an input file; vectors and tensors with all their components."""
+        from xfemnav.imaging.reading import read_components, read_image
 
-        read, path = self.reading(role), self.files[role]
+        read, path, limit = self.reading(role), self.files[role], self.config.max_memory_gb
         try:
-            return read_image(path, volume=read.volume, nan=read.nan, spacing=read.spacing,
-                              max_memory_gb=self.max_memory_gb)
+            if any(item.role == role and item.kind in ("vector", "tensor") for item in self.config.carry.companions):
+                return read_components(path, nan=read.nan, max_memory_gb=limit)
+            return read_image(path, volume=read.volume, nan=read.nan, spacing=read.spacing, max_memory_gb=limit)
         except XfemnavError as error:
             if role == "image" or error.code not in REMEDIES:
                 raise
-            text = f"{role.replace('_', ' ')} {path.name} {REMEDIES[error.code]}"
+            text = f"{kind(role).replace('_', ' ')} {path.name} {REMEDIES[error.code]}"
             raise XfemnavError(error.code, text) from None
 
 
@@ -115,7 +136,7 @@ class Chain:
     finished: Callable[[Done], None] = lambda done: None
 
     def __post_init__(self):
-        self.inputs = Inputs(self.config.inputs(), self.config.read, self.config.max_memory_gb)
+        self.inputs = Inputs(self.config)
         self.input_facts: dict[str, dict] = {}
         self.warned: list[Warned] = []
 
@@ -123,69 +144,120 @@ class Chain:
         """Digest every input file; an image is decoded only when its bytes have not been seen before."""
         for role, path in self.inputs.files.items():
             with recorded() as caught:
-                facts, noted = self._mesh_facts(path) if role == "mesh_file" else self._image_facts(role, path)
+                facts, noted = self._facts(role, path)
             self.input_facts[role] = facts
             self.warned += [*caught, *noted]
 
     def run(self, until: str = "warp") -> dict[str, Done]:
-        """All stages up to `until`, by name."""
-        for name in ORDER[:ORDER.index(until) + 1]:
+        """All stages up to `until` of all steps, and what is carried along; by their labels."""
+        for name, step in self._order(until):
+            self.inputs.step = step
             self.started(name)
-            done = self._stage(STAGES[name], getattr(self.config, name), self._forced(name))
-            self.inputs.done[name] = done
-            self.warned += done.warnings
-            self.finished(done)
+            done = self._stage(STAGES[name], self._params(name, step), self._forced(name))
+            self._finish(done)
+        if until == ORDER[-1] and self.config.carry.companions:
+            self.started(CARRY.name)
+            self._finish(self._stage(CARRY, self.config.carry, self.force_from is not None))
         return self.inputs.done
 
-    def draw(self) -> Done:
-        """The figure, drawn or from the cache."""
-        return self._stage(FIGURE, None, self.force_from == ORDER[0])
+    def draw(self) -> list[Done]:
+        """The figure of each step, drawn or from the cache; the last one is the run's."""
+        found = []
+        for step in range(len(self.config.steps)):
+            self.inputs.step = step
+            found.append(self._stage(FIGURE, None, self.force_from == ORDER[0]))
+        return found
 
     def plan(self, until: str = "warp") -> list[tuple[str, str, str | None]]:
         """What a run would do: (stage, 'cached' or 'would run', key where it is known already)."""
         rows = []
-        for name in ORDER[:ORDER.index(until) + 1]:
-            stage = STAGES[name]
-            if not all(need in self.inputs.done for need in stage.needs):
-                rows.append((name, "would run", None))
+        for name, step in self._order(until):
+            self.inputs.step = step
+            stage, told = STAGES[name], " ".join(filter(None, (name, self._step_name(name))))
+            needed = [*map(self.inputs.label, stage.needs), *self._drawn_in(name)]
+            if not all(label in self.inputs.done for label in needed):
+                rows.append((told, "would run", None))
                 continue
-            key = self._key(stage, getattr(self.config, name))
+            key = self._key(stage, self._params(name, step))
             entry = None if self._forced(name) else self.cache.verified(key)
-            rows.append((name, "cached" if entry else "would run", key))
+            rows.append((told, "cached" if entry else "would run", key))
             if entry:
-                self.inputs.done[name] = Done(name, "cached", 0.0, entry, {}, ())
+                self.inputs.done[self.inputs.label(name)] = Done(name, "", "cached", 0.0, entry, {}, ())
         return rows
+
+    def _order(self, until: str) -> list[tuple[str, int]]:
+        """The stages in order, each with its step; a step is solved where a later one is drawn in its slice."""
+        names = ORDER[:ORDER.index(until) + 1]
+        rows = [(name, -1) for name in names if name not in STEPWISE]
+        for k, _ in enumerate(self.config.steps):
+            wanted = [name for name in names if name in STEPWISE]
+            if wanted == ["constrain"] and any(k in drawn_after(step.constrain) for step in self.config.steps):
+                wanted.append("solve")
+            rows += [(name, k) for name in wanted]
+        return rows
+
+    def _params(self, name: str, step: int):
+        return self.config.steps[step].constrain if name == "constrain" else getattr(self.config, name)
+
+    def _step_name(self, name: str) -> str:
+        return self.config.steps[self.inputs.step].name if name in (*STEPWISE, FIGURE.name) else ""
+
+    def _drawn_in(self, name: str) -> dict[str, int]:
+        """Labels of the solutions in whose deformed slices something of this stage was drawn, and their steps."""
+        if name != "constrain":
+            return {}
+        steps = drawn_after(self.config.steps[self.inputs.step].constrain)
+        return {self.inputs.label("solve", k): k for k in sorted(steps)}
+
+    def _finish(self, done: Done) -> None:
+        self.inputs.done[self.inputs.label(done.name)] = done
+        self.warned += done.warnings
+        self.finished(done)
 
     def _forced(self, name: str) -> bool:
         return self.force_from is not None and ORDER.index(name) >= ORDER.index(self.force_from)
 
     def _key(self, stage: Stage, params) -> str:
-        read = {need: self.inputs.done[need].entry.content(*VALUE) for need in stage.needs}
-        read |= {role: self.input_facts[role]["digest"] for role in stage.files if role in self.input_facts}
+        done = self.inputs.done
+        read = {need: done[self.inputs.label(need)].entry.content(*VALUE) for need in stage.needs}
+        read |= {f"after {k}": done[label].entry.content(*VALUE) for label, k in self._drawn_in(stage.name).items()}
+        read |= {role: facts["digest"] for role, facts in self.input_facts.items() if kind(role) in stage.files}
         return stage_key(stage.name, stage.layers, stage.libraries, params, read)
 
     def _stage(self, stage: Stage, params, force: bool) -> Done:
         def build(folder: Path) -> None:
             with recorded() as caught:
-                value = stage.compute(params, self.inputs)
-                facts = stage.facts(value, self.inputs)
+                value = stage.code.compute(params, self.inputs)
+                facts = stage.code.facts(value, self.inputs)
             if value is not None:
                 from xfemnav.pipeline.store import save
 
                 save(folder, value)
-                self.inputs.values[stage.name] = value
-            for role in self.input_facts.keys() & set(stage.files):
-                if file_digest(self.inputs.files[role]) != self.input_facts[role]["sha256"]:
+                self.inputs.values[self.inputs.label(stage.name)] = value
+            for role in (role for role in self.input_facts if kind(role) in stage.files):
+                if bytes_digest(self.inputs.files[role]) != self.input_facts[role]["sha256"]:
                     raise _changed(self.inputs.files[role])
             (folder / "public").mkdir()
-            stage.publish(value, self.inputs, folder / "public")
+            stage.code.publish(value, self.inputs, folder / "public")
             write_facts(folder, facts, caught)
 
         start = time.perf_counter()
         with recorded() as healing:
             entry, status = self.cache.obtain(self._key(stage, params), build, force=force)
         facts, caught = read_facts(entry)
-        return Done(stage.name, status, time.perf_counter() - start, entry, facts, (*healing, *caught))
+        seconds, warned = time.perf_counter() - start, (*healing, *caught)
+        return Done(stage.name, self._step_name(stage.name), status, seconds, entry, facts, warned)
+
+    def _facts(self, role: str, path: Path) -> tuple[dict, tuple[Warned, ...]]:
+        """Digest of an input file, and what reading it warned of."""
+        if role == "mesh_file":
+            return self._mesh_facts(path)
+        if kind(role) in ("points", "streamlines"):
+            if not os.path.isfile(path):
+                raise XfemnavError("E100", f"no file at {path}. Correct the path.")
+            raw = file_digest(path)
+            return {"digest": raw, "sha256": raw}, ()
+        return self._image_facts(role, path)
 
     def _image_facts(self, role: str, path: Path) -> tuple[dict, tuple[Warned, ...]]:
         """Digest of the decoded voxels and affine, remembered by the file's name and the digest of its bytes."""
@@ -197,9 +269,10 @@ class Chain:
             write_facts(folder, {"digest": image.digest, "shape": list(image.values.shape), "dtype": image.dtype,
                                  "affine": image.affine.tolist()}, caught)
 
-        if not os.path.isfile(path) or path.stat().st_size > self.config.max_memory_gb * 1e9:
+        several = os.path.isdir(path) or path.suffix.lower() in OF_SEVERAL_FILES
+        if not several and (not os.path.isfile(path) or path.stat().st_size > self.config.max_memory_gb * 1e9):
             self.inputs.decoded(role)  # refuses it, with the reason
-        raw = file_digest(path)
+        raw = bytes_digest(path)
         # What reading warns of names the file.
         key = stage_key("read", ("imaging",), IMAGING, self.inputs.reading(role), {"raw": raw, "name": path.name})
         facts, noted = read_facts(self.cache.obtain(key, build)[0])
@@ -212,6 +285,26 @@ class Chain:
             read_vtu(path, "E209")  # refuses it, with the reason
         raw = file_digest(path)
         return {"digest": raw, "sha256": raw}, ()
+
+
+def bytes_digest(path: Path) -> str:
+    """sha256 of the bytes of a file, or of all files of an image that lies in several."""
+    if os.path.isdir(path) or path.suffix.lower() in OF_SEVERAL_FILES:
+        from xfemnav.imaging.reading import content_digest
+
+        return content_digest(path)
+    return file_digest(path)
+
+
+def kind(role: str) -> str:
+    """'companion' of 'companion:flair': a role without the name of its file."""
+    return role.partition(":")[0]
+
+
+def drawn_after(params) -> set[int]:
+    """The steps in whose deformed slices cuts or resections of a problem were drawn."""
+    drawn = (item.drawn_after for item in (*params.cuts, *params.resections))
+    return {step for step in drawn if step is not None}
 
 
 def _changed(path: Path) -> XfemnavError:

@@ -1,17 +1,36 @@
-"""From a scenario and flags to what each stage reads: one frozen dataclass of parameters a stage.
-
-A stage's key holds exactly its dataclass, so a parameter stands in the stage that uses it and nowhere else.
-"""
+"""From a scenario and flags to what each stage reads."""
 
 import csv
 import math
 import os
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.flags import FLAG_OF, FLAGS, PATHS, add_flags, confined, numbers, printed
+from xfemnav.pipeline.crosscheck import OUTLINE, actors
+from xfemnav.pipeline.flags import FLAG_OF, add_flags, confined, numbers, path_places, printed
+from xfemnav.pipeline.parameters import (
+    KINDS,
+    ArcParams,
+    CarryParams,
+    CompanionParams,
+    ConstrainParams,
+    CutParams,
+    DataEnds,
+    GravityParams,
+    LabelParams,
+    MeshParams,
+    PressureParams,
+    ReadParams,
+    ResectParams,
+    RetractParams,
+    SegmentParams,
+    SolveParams,
+    Step,
+    WarpParams,
+)
 
 if TYPE_CHECKING:
     from xfemnav.pipeline.scenario import Scenario
@@ -19,137 +38,39 @@ if TYPE_CHECKING:
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
 BLADE = (0.0, 0.8)  # a lip held right up to the tip has infinite energy
 
-NO_CUT = "cut: no cut was given (--cut 'x,y x,y ...')"
-
-
-@dataclass(frozen=True)
-class ReadParams:
-    """How image files become numbers."""
-
-    volume: int | None = None
-    nan: float | None = None
-    spacing: tuple[float, ...] | None = None
-
-
-@dataclass(frozen=True)
-class SegmentParams:
-    """Which slice, and how the organ is found in it."""
-
-    plane: str | None
-    index: int | None
-    position_mm: float | None
-    method: str
-    skull: str
-    resample_mask: bool
-
-
-@dataclass(frozen=True)
-class CutParams:
-    """One drawn cut, points in the user's space."""
-
-    name: str
-    points: tuple[tuple[float, ...], ...]
-    craniotomy: bool
-    internal: bool
-
-
-@dataclass(frozen=True)
-class DataEnds:
-    """Where the data of a retraction stop: blades (cut's index, from, to), how far from a mouth the outline is held."""
-
-    cuts: tuple[CutParams, ...]
-    blades: tuple[tuple[int, float, float], ...]
-    grip_mm: float | None
-
-
-@dataclass(frozen=True)
-class MeshParams:
-    """Sizes of the elements; `corridor` are paths in the user's `space`, empty when the mesh is uniform.
-
-    Only `data_ends`, None unless asked for, make a mesh depend on blades and skull.
-    """
-
-    from_file: bool
-    element_size_mm: float | None
-    corridor_mm: float
-    corridor_element_mm: float | None
-    corridor: tuple[tuple[tuple[float, ...], ...], ...]
-    data_ends: DataEnds | None
-    space: str
-
-
-@dataclass(frozen=True)
-class RetractParams:
-    """One blade on one lip; `cut` is an index, `side` is +1 (left) or -1 (right)."""
-
-    cut: int
-    side: int
-    displacement_mm: tuple[float, float] | None
-    normal_mm: float | None
-    force_mN_per_mm: tuple[float, float] | None
-    blade: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class ConstrainParams:
-    """Cuts, blades, material, and what holds the outline: the whole boundary value problem."""
-
-    cuts: tuple[CutParams, ...]
-    retractions: tuple[RetractParams, ...]
-    space: str
-    young_kpa: float
-    poisson: float
-    stress_state: str
-    skull: str
-    craniotomy_mm: float
-    skull_ramp_mm: float
-    tip_enrichment: str
-    lip_constraint: str
-    hold_tip: bool
-    boundary_displacement: tuple[tuple[float, ...], ...] | None
-
-
-@dataclass(frozen=True)
-class SolveParams:
-    """The problem says it all."""
-
-
-@dataclass(frozen=True)
-class WarpParams:
-    """How the new image is sampled."""
-
-    interp: str
-    outside: str
-    fill: float
+NO_CUT = "cut: nothing moves: give a cut (--cut 'x,y x,y ...'), a resection, gravity, or a measured boundary"
 
 
 @dataclass(frozen=True)
 class Config:
-    """A checked run: its input files, the parameters of reading and of each stage, and the scenario that says all.
+    """A checked run: its input files by role, the parameters of reading and of each stage, and the scenario.
 
-    `also_read` are files whose content the parameters hold: the scenario, the measured boundary.
+    `constrain` is the problem of the last step. `also_read` are files whose content the parameters hold: the scenario,
+    the measured boundary, drawn cuts.
     """
 
     parameters: dict
-    image: Path
-    mask: Path | None
-    template: Path | None
-    template_mask: Path | None
-    mesh_file: Path | None
+    files: dict[str, Path]
     also_read: tuple[Path, ...]
     max_memory_gb: float
     strict: bool
     read: ReadParams
     segment: SegmentParams
     mesh: MeshParams
-    constrain: ConstrainParams
+    steps: tuple[Step, ...]
     solve: SolveParams
     warp: WarpParams
+    carry: CarryParams
 
-    def inputs(self) -> dict[str, Path]:
-        """Input files by role."""
-        roles = ("image", "mask", "template", "template_mask", "mesh_file")
-        return {role: getattr(self, role) for role in roles if getattr(self, role) is not None}
+    @property
+    def image(self) -> Path:
+        """The preoperative image."""
+        return self.files["image"]
+
+    @property
+    def constrain(self) -> ConstrainParams:
+        """The problem of the last step."""
+        return self.steps[-1].constrain
 
 
 def configure(image=None, scenario=None, flags: dict | None = None, *, until: str = "warp") -> Config:
@@ -163,18 +84,22 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     if scenario is not None:
         raw = read_toml(Path(scenario))
         files = confined(raw, Path(scenario).parent)
-    flags = dict(flags or {})
-    found = add_flags(raw, flags)
+    found, given = add_flags(raw, dict(flags or {}))
     if image is not None:
-        flags["image"], raw["image"] = image, printed(image)
-    files |= {place: Path(flags[name]) for name, place in (("image", "image"), *FLAGS.items())
-              if place in PATHS and flags.get(name) is not None}
+        given["image"], raw["image"] = Path(image), printed(image)
+    files = {place: path for place, path in (files | given).items() if place in path_places(raw)}
     if "image" not in files:
         found.append("image: no image was given")
-    if STAGES.index(until) >= STAGES.index("constrain") and not raw.get("cut"):
+    if STAGES.index(until) >= STAGES.index("constrain") and not _moves(raw):
         found.append(NO_CUT)
-    also_read = (scenario and Path(scenario), files.get("boundary.displacement"))
-    return _resolved(validated(raw, FLAG_OF, tuple(found)), files, tuple(filter(None, also_read)))
+    checked = validated(raw, FLAG_OF, tuple(found))
+    return _resolved(checked, files, (Path(scenario),) if scenario is not None else ())
+
+
+def _moves(raw: dict) -> bool:
+    """Whether anything in a raw scenario can move tissue."""
+    load, boundary = (raw.get(name) if isinstance(raw.get(name), dict) else {} for name in ("load", "boundary"))
+    return bool(raw.get("cut") or raw.get("resect") or load or boundary.get("displacement"))
 
 
 def scenario_problems(path: Path) -> list[str]:
@@ -187,7 +112,7 @@ def scenario_problems(path: Path) -> list[str]:
         files = confined(raw, path.parent)
     except XfemnavError as error:
         return [str(error)]
-    if not raw.get("cut"):
+    if not _moves(raw):
         found.append(NO_CUT)
     found += [f"E100 {place}: no file at {file}" for place, file in files.items() if not os.path.isfile(file)]
     return found
@@ -195,65 +120,177 @@ def scenario_problems(path: Path) -> list[str]:
 
 def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]) -> Config:
     s = s.model_copy(update={"retract": tuple(_filled(r, s) for r in s.retract)})
+    drawn = Drawn.read(s, files)
+    carried = tuple(_carried(s, files))
+    roles = {role: files[place] for role, place in ROLES.items() if place in files}
+    roles |= {f"resection:{i}": files[f"resect.{i}.mask"] for i, r in enumerate(s.resect) if r.mask is not None}
+    roles |= {item.role: path for item, path in carried}
+    held = [path for place, path in files.items() if place == "boundary.displacement" or place.endswith(".markups")]
     return Config(
-        parameters=s.model_dump(mode="json", exclude={"xfemnav"}),
-        image=files["image"], mask=files.get("mask"), template=files.get("segment.template"),
-        template_mask=files.get("segment.template_mask"), mesh_file=files.get("mesh.file"), also_read=also_read,
+        parameters=s.model_dump(mode="json", exclude={"xfemnav"}), files=roles, also_read=(*also_read, *held),
         max_memory_gb=s.max_memory_gb, strict=s.strict,
         read=ReadParams(s.volume, s.nan, s.spacing),
         segment=SegmentParams(s.slice.plane, s.slice.index, s.slice.position_mm, s.segment.method, s.segment.skull,
                               s.resample_mask),
-        mesh=_mesh_params(s), constrain=_constrain_params(s, files.get("boundary.displacement")), solve=SolveParams(),
-        warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill),
+        mesh=_mesh_params(s, drawn), steps=_steps(s, drawn, files.get("boundary.displacement")), solve=SolveParams(),
+        warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill, s.warp.transforms),
+        carry=CarryParams(tuple(item for item, _ in carried), s.warp.interp, s.warp.outside),
     )
+
+
+#: Role of an input file -> its place in the scenario.
+ROLES = {"image": "image", "mask": "mask", "template": "segment.template", "template_mask": "segment.template_mask",
+         "mesh_file": "mesh.file", "labels": "tissue.labels"}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The points of every cut and of every drawn resection outline (None for the others), and the space of each."""
+
+    cuts: tuple[tuple[tuple, str], ...]
+    resections: tuple[tuple[tuple | None, str], ...]
+
+    @classmethod
+    def read(cls, s: "Scenario", files: dict[str, Path]) -> "Drawn":
+        """From the scenario, or from the point files that it names, which say their own frame."""
+        cuts = tuple(_path(cut.points, cut.markup, s.space, files.get(f"cut.{i}.markups"), cut.smooth)
+                     for i, cut in enumerate(s.cut))
+        return cls(cuts, tuple(_path(r.outline, r.markup, s.space, files.get(f"resect.{i}.markups"), False)
+                               for i, r in enumerate(s.resect)))
+
+
+def _path(points, markup: str | None, space: str, file: Path | None, smooth: bool):
+    if file is not None:
+        from xfemnav.imaging.point_files import read_points
+
+        found = read_points(file, name=markup)
+        points, space = tuple(map(tuple, found.points.tolist())), "ras"
+    if smooth:
+        from xfemnav.imaging.splines import drawn
+
+        points = tuple(map(tuple, drawn(points, closed=False)[0].tolist()))
+    return points, space
+
+
+def _carried(s: "Scenario", files: dict[str, Path]):
+    """What goes with the image, and its file; a stem that comes twice gets a number."""
+    from xfemnav.pipeline.runfile import stem
+
+    listed = [("companion", item.kind, f"companion.{i}.image") for i, item in enumerate(s.companion)]
+    for role in ("points", "streamlines"):
+        listed += [(role, role, f"{role}.{i}") for i in range(len(getattr(s, role)))]
+    taken = {("companion", stem(files["image"]))}  # the updated image has that name
+    for role, kind, place in listed:
+        name = base = stem(files[place])
+        number = 2
+        while (role, name) in taken:
+            name, number = f"{base}-{number}", number + 1
+        taken.add((role, name))
+        yield CompanionParams(f"{role}:{name}", name, kind), files[place]
 
 
 def _filled(r, s: "Scenario"):
     """A blade with what was left out: the only cut, and 0 to .8 of its length. Pointwise rows then hold the whole lip
     but the tip's cell, as the paper."""
     whole = s.solve.lip_constraint == "pointwise" and r.force_mN_per_mm is None
-    return r.model_copy(update={"cut": r.cut or s.cut[0].name, "blade": r.blade or (None if whole else BLADE)})
+    cut = r.cut or s.cut[0].name
+    return r.model_copy(update={"cut": cut, "blade": r.blade or (None if whole else BLADE),
+                                "name": r.name or f"{cut} {r.side}"})
 
 
-def _mesh_params(s: "Scenario") -> MeshParams:
-    """Sizes; the cuts are in it only where they draw the corridor."""
-    uniform = MeshParams(False, s.mesh.element_size_mm, 0.0, None, (), _data_ends(s), s.space)
+def _mesh_params(s: "Scenario", drawn: Drawn) -> MeshParams:
+    """Sizes; the cuts and drawn resections are in it only where they draw the corridor."""
+    uniform = MeshParams(False, s.mesh.element_size_mm, 0.0, None, (), _data_ends(s, drawn))
     if s.mesh.file is not None:
-        return replace(uniform, from_file=True, element_size_mm=None, data_ends=None, space="ras")
-    paths = (s.mesh.corridor,) if s.mesh.corridor is not None else tuple(cut.points for cut in s.cut)
+        return replace(uniform, from_file=True, element_size_mm=None, data_ends=None)
+    closed = [((*points, points[0]), space) for points, space in drawn.resections if points is not None]
+    paths = ((s.mesh.corridor, s.space),) if s.mesh.corridor is not None else (*drawn.cuts, *closed)
     if s.mesh.corridor_mm == 0 or not paths:
-        return uniform if uniform.data_ends else replace(uniform, space="ras")
+        return uniform
     return replace(uniform, corridor=paths, corridor_mm=s.mesh.corridor_mm,
                    corridor_element_mm=s.mesh.corridor_element_mm)
 
 
-def _cuts(s: "Scenario") -> tuple[CutParams, ...]:
-    return tuple(CutParams(cut.name, cut.points, cut.craniotomy, cut.internal) for cut in s.cut)
+def _cuts(s: "Scenario", drawn: Drawn) -> tuple[CutParams, ...]:
+    return tuple(CutParams(cut.name, points, space, cut.craniotomy, cut.internal, None)
+                 for cut, (points, space) in zip(s.cut, drawn.cuts))
 
 
-def _data_ends(s: "Scenario") -> DataEnds | None:
+def _data_ends(s: "Scenario", drawn: Drawn) -> DataEnds | None:
     if not s.mesh.grade_at_data_ends:
         return None
     names = [cut.name for cut in s.cut]
     blades = tuple((names.index(r.cut), *(r.blade or BLADE)) for r in s.retract)
     boundary = s.boundary
     grip = None if boundary.skull == "free" else boundary.craniotomy_mm + boundary.skull_ramp_mm
-    return DataEnds(_cuts(s), blades, grip)
+    return DataEnds(_cuts(s, drawn), blades, grip)
 
 
-def _constrain_params(s: "Scenario", measured: Path | None) -> ConstrainParams:
-    names = [cut.name for cut in s.cut]
-    rows = None if measured is None else read_displacements(measured)
+def _steps(s: "Scenario", drawn: Drawn, measured: Path | None) -> tuple[Step, ...]:
+    """The steps in order; a run without any is one step in which everything acts."""
+    every = set(chain.from_iterable(actors(s.model_dump()).values()))
+    acting = every - {name for step in s.step for name in step.acts}
+    whole = _constrain_params(s, drawn, measured)
+    if not s.step:
+        return (Step("", (), (), whole),)
+    steps, drawn_after = [], {}
+    for k, step in enumerate(s.step):
+        acting = (acting | set(step.acts)) - set(step.ends)
+        drawn_after |= {name: k - 1 for name in step.acts if step.frame == "current" and k > 0}
+        steps.append(Step(step.name, step.acts, step.ends, _acting(s, whole, acting, drawn_after)))
+    return tuple(steps)
+
+
+def _acting(s: "Scenario", whole: ConstrainParams, acting: set[str], drawn_after: dict[str, int]) -> ConstrainParams:
+    """The problem with what acts alone; `drawn_after` says after which step a cut or resection was drawn."""
+    cuts = tuple(replace(cut, drawn_after=drawn_after.get(cut.name)) for cut in whole.cuts if cut.name in acting)
+    kept = [i for i, resection in enumerate(whole.resections) if resection.name in acting]
+    cut_number = {cut.name: i for i, cut in enumerate(cuts)}
+    return replace(
+        whole, cuts=cuts, later_cuts=tuple(cut for cut in whole.cuts if cut.name not in acting),
+        retractions=tuple(replace(blade, cut=cut_number[r.cut]) for blade, r in zip(whole.retractions, s.retract)
+                          if r.name in acting),
+        resections=tuple(replace(whole.resections[i], drawn_after=drawn_after.get(whole.resections[i].name))
+                         for i in kept),
+        gravity=whole.gravity if "gravity" in acting else None,
+        pressures=tuple(replace(load, resection=None if load.resection is None else kept.index(load.resection))
+                        for load, p in zip(whole.pressures, s.load.pressure)
+                        if p.name in acting and (load.resection is None or load.resection in kept)),
+    )
+
+
+def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None) -> ConstrainParams:
+    names, resections = [cut.name for cut in s.cut], [item.name for item in s.resect]
+    load, boundary, tissue = s.load, s.boundary, s.tissue
+    gravity = load.gravity and GravityParams(load.gravity, load.density_kg_m3, load.fluid_density_kg_m3,
+                                             load.fluid_level_mm)
     return ConstrainParams(
-        cuts=_cuts(s),
+        cuts=_cuts(s, drawn), later_cuts=(),
         retractions=tuple(
             RetractParams(names.index(r.cut), 1 if r.side == "left" else -1, r.displacement_mm,
                           r.normal_mm, r.force_mN_per_mm, r.blade) for r in s.retract),
-        space=s.space, young_kpa=s.tissue.young_kpa, poisson=s.tissue.poisson, stress_state=s.solve.stress_state,
-        skull=s.boundary.skull, craniotomy_mm=s.boundary.craniotomy_mm, skull_ramp_mm=s.boundary.skull_ramp_mm,
-        tip_enrichment=s.solve.tip_enrichment, lip_constraint=s.solve.lip_constraint, hold_tip=s.solve.hold_tip,
-        boundary_displacement=rows,
+        resections=tuple(ResectParams(r.name, points, space, r.label, i if r.mask is not None else None, None)
+                         for i, (r, (points, space)) in enumerate(zip(s.resect, drawn.resections))),
+        space=s.space, young_kpa=tissue.young_kpa, poisson=tissue.poisson,
+        labels=tuple(_label(int(label), item, tissue) for label, item in sorted(tissue.by_label.items())),
+        stress_state=s.solve.stress_state, skull=boundary.skull, skull_gap_mm=boundary.skull_gap_mm,
+        arcs=tuple(ArcParams(a.start, a.end, a.skull, a.skull_gap_mm) for a in boundary.arc),
+        craniotomy_mm=boundary.craniotomy_mm, skull_ramp_mm=boundary.skull_ramp_mm, lips=boundary.lips,
+        loose_pieces=boundary.loose_pieces, tip_enrichment=s.solve.tip_enrichment,
+        lip_constraint=s.solve.lip_constraint, hold_tip=s.solve.hold_tip, model=s.solve.model,
+        boundary_displacement=None if measured is None else read_displacements(measured),
+        displacement_weight=boundary.displacement_weight, gravity=gravity,
+        pressures=tuple(PressureParams(None if p.on == OUTLINE else resections.index(p.on), p.kpa)
+                        for p in load.pressure),
     )
+
+
+def _label(label: int, item, tissue) -> LabelParams:
+    """Constants of a label's tissue: its own, else its kind's."""
+    times, poisson = KINDS[item.kind]
+    young = item.young_kpa if item.young_kpa is not None else times * tissue.young_kpa
+    own = item.poisson if item.poisson is not None else poisson
+    return LabelParams(label, young, tissue.poisson if own is None else own)
 
 
 def read_displacements(path: Path) -> tuple[tuple[float, ...], ...]:

@@ -35,7 +35,13 @@ FLAGS: dict[str, str] = {
     "skull": "boundary.skull",
     "craniotomy_mm": "boundary.craniotomy_mm",
     "skull_ramp_mm": "boundary.skull_ramp_mm",
+    "skull_gap_mm": "boundary.skull_gap_mm",
+    "lips": "boundary.lips",
+    "loose_pieces": "boundary.loose_pieces",
     "boundary_displacement": "boundary.displacement",
+    "gravity": "load.gravity",
+    "labels": "tissue.labels",
+    "model": "solve.model",
     "stress_state": "solve.stress_state",
     "tip_enrichment": "solve.tip_enrichment",
     "lip_constraint": "solve.lip_constraint",
@@ -43,22 +49,58 @@ FLAGS: dict[str, str] = {
     "interp": "warp.interp",
     "outside": "warp.outside",
     "fill": "warp.fill",
+    "transforms": "warp.transforms",
 }
 FLAG_OF = {place: "--" + name.replace("_", "-") for name, place in FLAGS.items()}
-CUT_FLAGS = ("cut", "internal", "left", "right", "lip_force", "opening_mm", "blade")
-PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.file", "boundary.displacement")
+CUT_FLAGS = ("cut", "markup", "internal", "left", "right", "lip_force", "opening_mm", "blade", "resect")
+FILE_FLAGS = ("companion", "points", "streamlines")
+#: Places of paths; "cut.*.markups" are those of every cut.
+PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.file", "boundary.displacement",
+         "tissue.labels", "cut.*.markups", "resect.*.markups", "resect.*.mask", "companion.*.image", "points.*",
+         "streamlines.*")
+MARKUPS = (".json", ".fcsv", ".csv", ".tag")
+KINDS = ("continuous", "label", "vector", "tensor")
+MASKS = (".nii", ".nii.gz", ".nrrd", ".mha", ".mgz")
 
 
-def add_flags(raw: dict, flags: dict) -> list[str]:
-    """Put the `flags` (by name, without dashes) into `raw`, in place; the problems found, one line each."""
+def add_flags(raw: dict, flags: dict) -> tuple[list[str], dict[str, Path]]:
+    """Put the `flags` (by name, without dashes) into `raw`, in place.
+
+    The problems found, one line each, and the files that the flags name, by their place in the scenario.
+    """
     given = {name: value for name, value in flags.items() if value is not None and not _is_empty(value)}
-    found = [f"{name}: unknown option" for name in sorted(set(given) - set(FLAGS) - set(CUT_FLAGS))]
+    known = {*FLAGS, *CUT_FLAGS, *FILE_FLAGS}
+    found = [f"{name}: unknown option" for name in sorted(set(given) - known)]
+    files = {}
     for name, place in FLAGS.items():
         if name in given:
             _put(raw, place, _plain(place, given[name]))
-    _add_cuts(raw, given, found)
+            if place in PATHS:
+                files[place] = Path(given[name])
+    _add_cuts(raw, given, found, files)
     _add_lips(raw, given, found)
-    return found
+    _add_resections(raw, given, found, files)
+    _add_files(raw, given, files)
+    return found, files
+
+
+def path_places(raw: dict) -> dict[str, str]:
+    """Every path that a raw scenario names, by its place; 'cut.0.markups' is that of the first cut."""
+    places = {}
+    for pattern in PATHS:
+        _walk(raw, pattern.split("."), (), places)
+    return places
+
+
+def _walk(value, pattern, place, places) -> None:
+    if not pattern:
+        if isinstance(value, str):
+            places[".".join(place)] = value
+    elif pattern[0] == "*":
+        for i, item in enumerate(value if isinstance(value, list | tuple) else ()):
+            _walk(item, pattern[1:], (*place, str(i)), places)
+    elif isinstance(value, dict):
+        _walk(value.get(pattern[0]), pattern[1:], (*place, pattern[0]), places)
 
 
 def confined(raw: dict, folder: Path) -> dict[str, Path]:
@@ -67,10 +109,7 @@ def confined(raw: dict, folder: Path) -> dict[str, Path]:
     Symbolic links are followed before they are judged.
     """
     folder, files, outside = folder.resolve(), {}, []
-    for place in PATHS:
-        value = _get(raw, place)
-        if not isinstance(value, str):
-            continue
+    for place, value in path_places(raw).items():
         if "\0" in value or Path(value).is_absolute() or not (folder / value).resolve().is_relative_to(folder):
             outside.append(f"{place}: {value!r}")
         files[place] = folder / value
@@ -80,18 +119,66 @@ def confined(raw: dict, folder: Path) -> dict[str, Path]:
     return files
 
 
-def _add_cuts(raw: dict, given: dict, found: list[str]) -> None:
+def _add_cuts(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
     """--cut, repeated, takes the place of the scenario's cuts and of what held their lips."""
-    cuts = given.get("cut", ())
-    if isinstance(cuts, str) or (len(cuts) and _is_point(cuts[0])):
-        cuts = (cuts,)
+    cuts = _repeated(given.get("cut", ()))
     if len(cuts):
-        points = [_points(cut, found) for cut in cuts]
-        names = ["cut"] if len(points) == 1 else [f"cut {i + 1}" for i in range(len(points))]
-        raw["cut"] = [{"name": name, "points": path} for name, path in zip(names, points)]
+        names = ["cut"] if len(cuts) == 1 else [f"cut {i + 1}" for i in range(len(cuts))]
+        raw["cut"] = [{"name": name} for name in names]
         raw.pop("retract", None)
+        for i, (item, cut) in enumerate(zip(raw["cut"], cuts)):
+            if _names_a_file(cut, MARKUPS):
+                item["markups"], files[f"cut.{i}.markups"] = printed(cut), Path(cut)
+            else:
+                item["points"] = _points(cut, "--cut", found)
+    if "markup" in given:
+        raw["cut"] = [item | {"markup": given["markup"]} if "markups" in item else item for item in tables(raw, "cut")]
     if given.get("internal"):
         raw["cut"] = [item | {"internal": True} for item in tables(raw, "cut")]
+
+
+def _add_resections(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
+    """--resect, repeated, takes the place of the scenario's resections: points, a point file, a mask, or label=N."""
+    resections = _repeated(given.get("resect", ()))
+    if len(resections):
+        raw["resect"] = []
+    for i, value in enumerate(resections):
+        item = {"name": "resection" if len(resections) == 1 else f"resection {i + 1}"}
+        for key, endings in (("markups", MARKUPS), ("mask", MASKS)):
+            if _names_a_file(value, endings):
+                item[key], files[f"resect.{i}.{key}"] = printed(value), Path(value)
+                break
+        else:
+            label = str(value).removeprefix("label=")
+            if isinstance(value, str) and value.startswith("label=") and label.isdecimal():
+                item["label"] = int(label)
+            else:
+                item["outline"] = _points(value, "--resect", found)
+        raw["resect"].append(item)
+
+
+def _add_files(raw: dict, given: dict, files: dict[str, Path]) -> None:
+    """--companion [KIND=]FILE, --points FILE and --streamlines FILE come after the scenario's own."""
+    for value in _repeated(given.get("companion", ())):
+        kind, separator, name = str(value).partition("=")
+        kind, name = (kind, name) if separator and kind in KINDS else ("continuous", value)
+        items = raw["companion"] = [*tables(raw, "companion"), {"image": printed(name), "kind": kind}]
+        files[f"companion.{len(items) - 1}.image"] = Path(name)
+    for key in ("points", "streamlines"):
+        for value in _repeated(given.get(key, ())):
+            raw[key] = [*raw.get(key, ()), printed(value)]
+            files[f"{key}.{len(raw[key]) - 1}"] = Path(value)
+
+
+def _repeated(value) -> tuple:
+    """The values of a repeatable flag; one value alone, or one list of points, is a tuple of one."""
+    if isinstance(value, str | Path) or (len(value) and not isinstance(value[0], Path) and _is_point(value[0])):
+        return (value,)
+    return tuple(value)
+
+
+def _names_a_file(value, endings: tuple[str, ...]) -> bool:
+    return isinstance(value, Path) or (isinstance(value, str) and value.lower().endswith(endings))
 
 
 def _add_lips(raw: dict, given: dict, found: list[str]) -> None:
@@ -132,7 +219,7 @@ def _plain(place: str, value):
     """A flag's value as TOML would give it."""
     if place in PATHS:
         return printed(value)
-    if place == "spacing" and isinstance(value, str):
+    if place in ("spacing", "load.gravity") and isinstance(value, str):
         return numbers(value) or value
     return value
 
@@ -150,14 +237,14 @@ def _is_point(value) -> bool:
     return not isinstance(value, str) and len(value) > 0 and not hasattr(value[0], "__len__")
 
 
-def _points(text, found: list[str]) -> list:
+def _points(text, flag: str, found: list[str]) -> list:
     """Points of "x,y x,y ..." or of rows of numbers."""
     if not isinstance(text, str):
         return [[float(x) for x in point] for point in text]
     points = [numbers(word) for word in text.replace(";", " ").split()]
     if not points or any(point is None or len(point) not in (2, 3) for point in points):
-        found.append(f"--cut: wants points 'x,y x,y ...', got {text[:60]!r}")
-        return [[0.0, 0.0], [1.0, 0.0]]  # stands in, so that the other problems are found too
+        found.append(f"{flag}: wants points 'x,y x,y ...' or a file, got {text[:60]!r}")
+        return [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]  # stands in, so that the other problems are found too
     return points
 
 
@@ -176,12 +263,6 @@ def numbers(text: str) -> list[float] | None:
         return [float(part) for part in text.split(",")]
     except ValueError:
         return None
-
-
-def _get(raw: dict, place: str):
-    for part in place.split("."):
-        raw = raw.get(part) if isinstance(raw, dict) else None
-    return raw
 
 
 def _put(raw: dict, place: str, value) -> None:

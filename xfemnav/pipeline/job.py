@@ -15,7 +15,7 @@ from xfemnav.pipeline.chain import Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
-from xfemnav.pipeline.stages import INVERTED_LIMIT_MM2
+from xfemnav.pipeline.stage import INVERTED_LIMIT_MM2
 
 
 class Interrupted(BaseException):
@@ -82,7 +82,7 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
     output = options.output.absolute()
     with (output_folder(output, config.image, listener.waiting) as folder,
           opened_cache(options.cache) as (cache, warned)):
-        folder.refuse_overwriting([*config.inputs().values(), *config.also_read])
+        folder.refuse_overwriting([*config.files.values(), *config.also_read], _roles(config))
         chain = Chain(config, cache, options.force_from, listener.started, listener.finished)
         chain.warned += warned
         if passing := settle_kernel_cache():
@@ -127,16 +127,42 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
                 "and right if they are swapped, or hold both lips. The results are written, and marked untrusted "
                 "(exit 3).")
         record |= {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
-    files = {role: (path, item.entry.files[f"public/{path.name}"])
-             for item in done.values() for role, path in item.public().items()}
+    files = {}
+    for label, item in done.items():
+        _collect(files, chain.config, label, item)
     if options.report and options.until == "warp":
-        figure = chain.draw()
-        files["figure"] = figure.public()["figure"], figure.entry.files["public/figure.png"]
-        record["outputs"] = folder.names((*files, "report"))
-        files["report"] = _page(chain, record, files["figure"][0])
+        for k, item in enumerate(chain.draw()):
+            _collect(files, chain.config, chain.inputs.label("warp", k).replace("warp", "figure"), item)
+        record["outputs"] = folder.names(files | {"report": (Path("report.html"), "")})
+        figures = {role: path for role, (path, _) in files.items() if role.partition(":")[0] == "figure"}
+        files["report"] = _page(chain, record, figures)
     record["outputs"] = folder.publish(files, record)
     folder.write_record(record)
     return record
+
+
+#: Files of the steps before the last that are published.
+OF_A_STEP = ("updated", "cavity", "solution", "figure")
+
+
+def _collect(files: dict[str, tuple[Path, str]], config: Config, label: str, item: Done) -> None:
+    """Add the public files of a stage, with their sha256, to `files` by role."""
+    _, _, step = label.partition(":")
+    for name, path in item.public().items():
+        role = name
+        if item.name == "carry":
+            number, _, what = name.removeprefix("carry-").partition("-")
+            role = config.carry.companions[int(number)].role + (f"-{what}" if what else "")
+        elif step:
+            role = f"{name}:{config.steps[int(step)].name}"
+        if not step or name in OF_A_STEP:
+            files[role] = path, item.entry.files[f"public/{path.name}"]
+
+
+def _roles(config: Config) -> list[str]:
+    """All roles of outputs that a run may write beside the fixed ones."""
+    steps = [f"{name}:{step.name}" for step in config.steps[:-1] for name in OF_A_STEP]
+    return [*steps, *(item.role for item in config.carry.companions if item.kind not in ("points", "streamlines"))]
 
 
 def _reported(chain: Chain, record: dict) -> dict:
@@ -144,16 +170,36 @@ def _reported(chain: Chain, record: dict) -> dict:
     image = chain.input_facts.get("image")
     found = {
         "input": image and {name: image[name] for name in ("sha256", "shape", "affine", "dtype")},
-        "stages": [{"name": done.name, "status": done.status, "key": done.entry.key, "seconds": round(done.seconds, 4)}
+        "stages": [{"name": done.name} | ({"step": done.step} if done.step else {}) |
+                   {"status": done.status, "key": done.entry.key, "seconds": round(done.seconds, 4)}
                    for done in chain.inputs.done.values()],
         "warnings": [vars(item) for item in dict.fromkeys(chain.warned)],
         "outputs": {},
     }
-    for done in chain.inputs.done.values():
-        for name, fact in done.facts.items():
-            if name != "safe_fraction":
-                found[name] = found.get(name, {}) | fact if isinstance(fact, dict) else fact
+    steps: dict[int, dict] = {}
+    for label, done in chain.inputs.done.items():
+        _, _, step = label.partition(":")
+        _gather(steps.setdefault(int(step), {}) if step else found, done.facts)
+    if len(chain.config.steps) > 1:
+        found["steps"] = [_step_record(step, steps.get(k, found)) for k, step in enumerate(chain.config.steps)]
     return record | found
+
+
+def _gather(found: dict, facts: dict) -> None:
+    """Add what a stage reported; tables of the same name are joined."""
+    for name, fact in facts.items():
+        if name != "safe_fraction":
+            found[name] = found.get(name, {}) | fact if isinstance(fact, dict) else fact
+
+
+#: What the record says of each step.
+STEP_FACTS = ("cuts", "resections", "pieces", "retractor", "checks")
+
+
+def _step_record(step, facts: dict) -> dict:
+    """A step in the record: what began and ended with it, and what came of it."""
+    known = {name: facts[name] for name in STEP_FACTS if name in facts}
+    return {"name": step.name, "acts": list(step.acts), "ends": list(step.ends)} | known
 
 
 def failure(error: BaseException) -> dict:
@@ -169,12 +215,12 @@ def failure(error: BaseException) -> dict:
     return {"status": "failed", "exit_code": FAULTS["E900"].exit_code, "error": {"code": "E900", "text": text}}
 
 
-def _page(chain: Chain, record: dict, figure: Path) -> tuple[Path, str]:
+def _page(chain: Chain, record: dict, figures: dict[str, Path]) -> tuple[Path, str]:
     """The report in the cache, and its sha256."""
     def build(folder: Path) -> None:
         from xfemnav.pipeline.report import write_report
 
-        write_report(record, folder, figure)
+        write_report(record, folder, figures)
 
     entry, _ = chain.cache.obtain(page_key(record), build)
     return entry.folder / "report.html", entry.files["report.html"]

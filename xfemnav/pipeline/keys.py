@@ -16,7 +16,7 @@ from xfemnav.pipeline.layers import reach
 PACKAGE = Path(__file__).parents[1]
 DATA = (".html", ".json")  # files of the package that its code renders or reads
 # Every stage runs through these, whatever its layer.
-COMMON_CODE = ("errors.py", "pipeline/stages.py", "pipeline/store.py", "pipeline/files.py")
+COMMON_CODE = ("errors.py", "pipeline/stage.py", "pipeline/store.py", "pipeline/files.py")
 
 
 def plain(value):
@@ -55,6 +55,12 @@ def code_digest(layers: tuple[str, ...], root: Path = PACKAGE) -> str:
     return source_digest(*sources, root=root)
 
 
+@cache
+def own_digest(stage: str, root: Path = PACKAGE) -> str:
+    """sha256 of the stage's own module; of nothing where it has none."""
+    return source_digest(*root.glob(f"pipeline/stage_{stage}.py"), root=root)
+
+
 def source_digest(*sources: Path, root: Path = PACKAGE) -> str:
     """sha256 over names and content of source files below `root`."""
     return digest({source.relative_to(root).as_posix(): file_digest(source) for source in sources})
@@ -73,5 +79,6 @@ def stage_key(stage: str, layers: tuple[str, ...], libraries: tuple[str, ...], p
         "params": params,
         "inputs": inputs,
         "code": code_digest(layers),
+        "own code": own_digest(stage),
         "libraries": library_versions(libraries),
     })

@@ -6,6 +6,8 @@ It is written from the record of the run alone (`run.json`), so that whoever has
 from importlib.metadata import version
 from pathlib import PurePath
 
+from xfemnav.pipeline.parameters import KINDS
+
 LIBRARIES = ("numpy", "scipy", "scikit-image", "SimpleITK", "nibabel", "shapely", "numba")
 CITATIONS = (
     "Vigneron LM, Verly JG, Warfield SK. Modelling surgical cuts, retractions, and resections via extended finite "
@@ -33,15 +35,20 @@ LIPS = {
     "nitsche": "weakly along the held part of each lip (Nitsche's method)",
     "pointwise": "at every crossing of the cut with a mesh edge, as in [1]",
 }
-SKULLS = {"fixed": "The outline was fixed", "sliding": "The outline slid along the skull without friction"}
+FREE_LIPS = {"contact": "Lips that nothing held could not pass through each other (frictionless contact).",
+             "free": "Lips that nothing held were free."}
+SKULLS = {"fixed": "The outline was fixed", "sliding": "The outline slid along the skull without friction",
+          "contact": "The outline could leave the skull but not pass through it, without friction,"}
 
 
 def methods_paragraph(run: dict) -> str:
     """Plain text. `run` is the content of run.json for a run that has outputs; numbers in brackets are `CITATIONS`."""
     asked = run["parameters"]
     sentences = [
-        _software(run), _mesh(run), *map(_cut, run["cuts"]), _enrichment(run), _tissue(asked), _outline(asked),
-        *(_retraction(each, asked) for each in asked["retract"]), _lips(asked), _outcome(run), _image(asked),
+        _software(run), _mesh(run), *map(_cut, run["cuts"]), *map(_resection, run["resections"]), _enrichment(run),
+        _tissue(asked), *_labels(asked), _outline(asked), *_loads(asked),
+        *(_retraction(each, asked) for each in asked["retract"]), _lips(asked), _model(run), _steps(run), _outcome(run),
+        _image(asked), _carried(asked),
     ]
     return " ".join(filter(None, sentences))
 
@@ -76,6 +83,10 @@ def _cut(cut):
     return f"The cut '{cut['name']}' was {cut['length_mm']:.1f} mm long, in plane coordinates from {points} mm."
 
 
+def _resection(resection):
+    return f"The resection '{resection['name']}' took out {resection['area_mm2']:.0f} mm² of tissue."
+
+
 def _enrichment(run):
     nodes = run["enrichment"]
     tips = TIPS[run["parameters"]["solve"]["tip_enrichment"]].format(nodes["tip_nodes"])
@@ -89,10 +100,52 @@ def _tissue(asked):
             f"(Young's modulus {asked['tissue']['young_kpa']:g} kPa, Poisson's ratio {asked['tissue']['poisson']:g}).")
 
 
+def _labels(asked):
+    tissue = asked["tissue"]
+    for label, item in sorted(tissue["by_label"].items(), key=lambda pair: int(pair[0])):
+        times, ratio = KINDS[item["kind"]]
+        young = item["young_kpa"] if item["young_kpa"] is not None else times * tissue["young_kpa"]
+        own = next(value for value in (item["poisson"], ratio, tissue["poisson"]) if value is not None)
+        yield f"Label {label} of {PurePath(tissue['labels'] or '').name} was {item['kind']} ({young:g} kPa, {own:g})."
+
+
+def _loads(asked):
+    load = asked["load"]
+    if load["gravity"] is not None:
+        fluid = load["fluid_level_mm"]
+        drained = "drained" if fluid is None else (f"floating in fluid of {load['fluid_density_kg_m3']:g} kg/m³ beyond "
+                                                   f"{fluid:g} mm along gravity")
+        yield ("Gravity acted along ({:g}, {:g})".format(*load["gravity"]) +
+               f" on tissue of {load['density_kg_m3']:g} kg/m³, {drained}.")
+    for pressure in load["pressure"]:
+        yield f"A pressure of {pressure['kpa']:g} kPa acted on '{pressure['on']}'."
+
+
+def _model(run):
+    model = run["model"]
+    if model["name"] == "linear":
+        return ""
+    return (f"Finite strains were solved with a compressible neo-Hookean material in {model['load_steps']} load steps; "
+            f"the linear answer differs from it by up to {model['linear_difference_mm']:.2f} mm.")
+
+
+def _steps(run):
+    names = [step["name"] for step in run.get("steps", ())]
+    return f"The steps were {', '.join(names)}; the numbers are those of the last one." if names else ""
+
+
+def _carried(asked):
+    names = [PurePath(item["image"]).name for item in asked["companion"]]
+    names += [PurePath(name).name for key in ("points", "streamlines") for name in asked[key]]
+    return f"Through the same map went {', '.join(names)}." if names else ""
+
+
 def _outline(asked):
     boundary = asked["boundary"]
     if boundary["displacement"]:
-        return f"The outline moved as measured ({PurePath(boundary['displacement']).name})."
+        weight = boundary["displacement_weight"]
+        how = f", followed by springs of {weight:g} kPa/mm" if weight else ""
+        return f"The outline moved as measured ({PurePath(boundary['displacement']).name}){how}."
     if boundary["skull"] == "free":
         return "The outline was free."
     ramp = f"; the skull's grip set in over {boundary['skull_ramp_mm']:g} mm" if boundary["skull_ramp_mm"] else ""
@@ -114,7 +167,8 @@ def _retraction(retract, asked):
 
 def _lips(asked):
     held = any(retract["force_mN_per_mm"] is None for retract in asked["retract"])
-    return f"Displacements of the lips were imposed {LIPS[asked['solve']['lip_constraint']]}." if held else ""
+    imposed = f"Displacements of the lips were imposed {LIPS[asked['solve']['lip_constraint']]}. " if held else ""
+    return (imposed + FREE_LIPS[asked["boundary"]["lips"]]) if asked["cut"] else ""
 
 
 def _outcome(run):

@@ -26,21 +26,26 @@ CHECKS = {  # name in run.json: (what it is, unit)
     "max_displacement_mm": ("largest displacement", "mm"),
     "inverted_mm2": ("tissue turned inside out (0 wanted; more than 1 is not trusted)", "mm²"),
     "det_F_p01": ("local change of area, 1 % quantile (1 is none, below 0 is inside out)", ""),
+    "largest_strain": ("strain that 1 % of the tissue exceeds (the linear model is for small ones, to about 0.1)", ""),
+    "min_gap_mm": ("smallest gap between lips, or outline and skull (0: they touch; below: an error)", "mm"),
     "cavity_mm2": ("cavity: pixels inside the moved outline that hold no tissue", "mm²"),
     "vacated_mm2": ("vacated: pixels that the outline has drawn back from", "mm²"),
     "overlap_mm2": ("overlap: pixels that hold tissue twice (0 wanted)", "mm²"),
 }
 
 
-def write_report(run: dict, folder: Path, figure_png: Path | None) -> Path:
-    """Write `folder`/report.html for `run`, the content of its run.json, and return the path."""
+def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
+    """Write `folder`/report.html for `run`, the content of its run.json, and return the path.
+
+    `figures`: the pictures by role, "figure" the last step's, "figure:<step>" those of earlier ones.
+    """
     target = folder / "report.html"
-    page = render(run, figure_png.read_bytes() if figure_png else None)
+    page = render(run, {role: path.read_bytes() for role, path in figures.items()})
     write_atomic(target, page.encode(errors="backslashreplace"))  # file names may hold bytes that are no UTF-8
     return target
 
 
-def render(run: dict, figure: bytes | None) -> str:
+def render(run: dict, figures: dict[str, bytes]) -> str:
     """The page. Every value is escaped by the template engine: names of files and cuts are other people's text."""
     page = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
@@ -51,10 +56,15 @@ def render(run: dict, figure: bytes | None) -> str:
         status=run["status"],
         verdict=VERDICTS[run["status"]],
         error=run.get("error"),
-        figure=base64.b64encode(figure).decode() if figure else None,
+        figure=_embedded(figures.get("figure")),
+        steps=[step_row(step, _embedded(figures.get(f"figure:{step['name']}"))) for step in run.get("steps", ())],
+        pieces=run["pieces"],
+        contacts=run["contact"],
+        points=run.get("points", ()),
         command=shlex.join(run["argv"]),
         stages=run["stages"],
-        checks=[(what, unit, shown(run["checks"][name])) for name, (what, unit) in CHECKS.items()],
+        checks=[(what, unit, shown(run["checks"][name])) for name, (what, unit) in CHECKS.items()
+                if run["checks"][name] is not None],
         warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
         retractors=[retractor_row(each) for each in run["retractor"]],
         tips=[tip_row(each) for each in run["tips"]],
@@ -65,6 +75,20 @@ def render(run: dict, figure: bytes | None) -> str:
         citations=CITATIONS,
         version=run["version"],
     )
+
+
+def _embedded(png: bytes | None) -> str | None:
+    return base64.b64encode(png).decode() if png else None
+
+
+def step_row(step: dict, figure: str | None) -> dict:
+    """What the page says of a step: what began and ended, its key figures, and its picture unless it is the last."""
+    checks = step["checks"]
+    return {
+        "name": step["name"], "acts": ", ".join(step["acts"]) or "-", "ends": ", ".join(step["ends"]) or "-",
+        "moved": f"{checks['max_displacement_mm']:.2f}", "cavity": f"{checks['cavity_mm2']:.0f}",
+        "inverted": f"{checks['inverted_mm2']:.2f}", "figure": figure,
+    }
 
 
 def retractor_row(retractor: dict) -> dict:

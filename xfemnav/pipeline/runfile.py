@@ -31,15 +31,32 @@ NAMES = {
     "cavity": ("cavity", "mask", ".nii.gz"),
     "overlap": ("overlap", "mask", ".nii.gz"),
     "field": ("field", "xfm", ".nii.gz"),
+    "lips": ("lips", "dseg", ".nii.gz"),
     "transform": ("updated", "xfm", ".h5"),
+    "transform-extended": ("extended", "xfm", ".h5"),
+    "field-nrrd": ("field", "xfm", ".nrrd"),
+    "field-itk": ("fielditk", "xfm", ".nii.gz"),
+    "forward-nrrd": ("forward", "xfm", ".nrrd"),
+    "cuts": ("cuts", "markups", ".mrk.json"),
+    "companion": ("updated", None, ".nii.gz"),
+    "points": ("updated", "points", ""),
+    "points-markups": ("updated", "points", ".mrk.json"),
+    "streamlines": ("updated", "streamlines", ""),
 }
+PAGES = {"figure": ("figure", ".png"), "report": ("report", ".html")}
+#: Roles whose files are named after a carried file, not after the image.
+CARRIED = ("companion", "points", "streamlines")
 SIDECARS = {
     "mask": {"Description": "Organ in the slice, holes filled", "Type": "Brain"},
     "updated": {"Description": "The slice after the cut and retraction"},
     "cavity": {"Description": "Pixels of the organ that hold no tissue after the motion", "Type": "ROI"},
     "overlap": {"Description": "Pixels that hold tissue twice after the motion", "Type": "ROI"},
+    "lips": {"Description": "Pixels of tissue beside the opened cut: 1 its left lip, 2 its right one"},
     "field": {"Description": "Resting position minus position; 0 where there is no tissue", "Units": "mm",
               "VectorFrame": "LPS+", "Direction": "output->input"},
+    "field-itk": {"Description": "Resting position minus position, in three equal slices; from lip to lip in the gap",
+                  "Units": "mm", "VectorFrame": "LPS+", "Direction": "output->input"},
+    "companion": {"Description": "Another image of the patient after the motion, on the grid of the updated slice"},
 }
 
 
@@ -49,21 +66,35 @@ def json_text(value: dict) -> str:
 
 
 def stem(image: Path) -> str:
-    """Name of an image without .nii or .nii.gz."""
-    return re.sub(r"\.nii(\.gz)?$", "", image.name, flags=re.IGNORECASE)
+    """Name of an image, point file or tractogram without its ending."""
+    endings = r"\.(nii|nrrd|nhdr|mha|mhd|mgz|mgh|mrk\.json|json|fcsv|csv|tag|trk|tck)(\.gz)?$"
+    return re.sub(endings, "", image.name, flags=re.IGNORECASE)
 
 
-def public_name(image: Path, role: str) -> str:
-    """File name of an output: BIDS names keep their suffix (sub-01_T1w -> sub-01_desc-updated_T1w)."""
-    if role not in NAMES:
-        return {"figure": "figure.png", "report": "report.html"}[role]
-    description, suffix, ending = NAMES[role]
-    match = BIDS.match(stem(image))
-    base, own = match.groups() if match else (stem(image), None)
+def slug(name: str) -> str:
+    """The letters and digits of a name: what a file name holds of it."""
+    return re.sub(r"[^A-Za-z0-9]+", "", name)
+
+
+def public_name(image: Path, role: str, source: str = "") -> str:
+    """File name of an output: BIDS names keep their suffix (sub-01_T1w -> sub-01_desc-updated_T1w).
+
+    A role "what:which" is of the step, or of the carried file, called `which`; points and streamlines keep the ending
+    of their `source`.
+    """
+    what, _, which = role.partition(":")
+    carried = what.partition("-")[0] in CARRIED
+    step = f"step-{slug(which)}" if which and not carried else None
+    if what in PAGES:
+        name, ending = PAGES[what]
+        return "_".join(filter(None, (name, step))) + ending
+    description, suffix, ending = NAMES[what]
+    match = BIDS.match(which if carried else stem(image))
+    base, own = match.groups() if match else (which if carried else stem(image), None)
     if match and description:
         base = re.sub(r"_desc-[A-Za-z0-9]+", "", base)
-    parts = [description and f"desc-{description}", suffix or own]
-    tail = "".join(f"_{part}" for part in parts if part) + ending
+    parts = [step, description and f"desc-{description}", suffix or own]
+    tail = "".join(f"_{part}" for part in parts if part) + (ending or source)
     while len(os.fsencode(base + tail)) > LONGEST_NAME:
         base = base[:-1]
     return base + tail
@@ -108,9 +139,9 @@ class OutputFolder:
         self.earlier = _claimed(record)
         self.whole = record.get("status") in ("complete", "untrusted")  # an earlier result that nothing has touched
 
-    def names(self, roles) -> dict[str, str]:
-        """Public name of each role."""
-        return {role: public_name(self.image, role) for role in roles}
+    def names(self, files: dict[str, tuple[Path, str]]) -> dict[str, str]:
+        """Public name of each role, from the files in the cache."""
+        return {role: public_name(self.image, role, "".join(path.suffixes)) for role, (path, _) in files.items()}
 
     def publish(self, files: dict[str, tuple[Path, str]], record: dict) -> dict[str, str]:
         """Put `files` (role -> path in the cache, sha256) in place; their public names by role."""
@@ -118,12 +149,13 @@ class OutputFolder:
         changed = {names[role]: source.read_bytes() for role, (source, sha256) in files.items()
                    if not self._holds(names[role], sha256)}
         maker = {"Sources": [self.image.name], "GeneratedBy": [{"Name": "xfemnav", "Version": record["version"]}]}
-        for role in SIDECARS.keys() & files.keys():
-            sidecar = json_text(SIDECARS[role] | maker).encode()
+        described = {role: SIDECARS[role.partition(":")[0]] for role in files if role.partition(":")[0] in SIDECARS}
+        for role, content in described.items():
+            sidecar = json_text(content | maker).encode()
             name = sidecar_name(names[role])
             if not self._holds(name, hashlib.sha256(sidecar).hexdigest()):
                 changed[name] = sidecar
-        keep = {*names.values()} | {sidecar_name(names[role]) for role in SIDECARS.keys() & files.keys()}
+        keep = {*names.values()} | {sidecar_name(names[role]) for role in described}
         under_way = record | {"status": "interrupted", "exit_code": 130, "outputs": {}}
 
         def begin():
@@ -151,11 +183,14 @@ class OutputFolder:
             for name in self.earlier - keep:
                 (self.path / name).unlink(missing_ok=True)
 
-    def refuse_overwriting(self, inputs: list[Path]) -> None:
-        """Raise E731 when an input, or a file that no earlier run made, would be replaced or removed."""
-        images = {public_name(self.image, role) for role in NAMES}
-        new = images | {sidecar_name(name) for name in images if name.endswith(".nii.gz")}
-        new |= {public_name(self.image, role) for role in ("figure", "report")}
+    def refuse_overwriting(self, inputs: list[Path], roles: list[str]) -> None:
+        """Raise E731 when an input, or a file that no earlier run made, would be replaced or removed.
+
+        `roles` are those of the run's steps and carried files, beside the fixed ones.
+        """
+        fixed = {role for role in (*NAMES, *PAGES) if role.partition("-")[0] not in CARRIED}
+        new = {public_name(self.image, role) for role in (*fixed, *roles)}
+        new |= {sidecar_name(name) for name in new if name.endswith(".nii.gz")}
         targets = {(self.path / name).resolve() for name in self.earlier | new | {RECORD}}
         for path in inputs:
             if path.resolve() in targets:

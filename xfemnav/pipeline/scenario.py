@@ -14,7 +14,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.flags import tables
+from xfemnav.pipeline.crosscheck import cross_problems
 
 LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
 # Dotted keys deeper than that; the parser's time grows with the square of their length.
@@ -29,7 +29,9 @@ OWN_CODES = {
 
 Vector = Annotated[tuple[float, float], Strict(False)]
 Point = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=3)]
+Points = Annotated[tuple[Point, ...], Strict(False)]
 Path_ = Annotated[str, Field(min_length=1, max_length=4096)]
+Paths_ = Annotated[tuple[Path_, ...], Strict(False)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Name = Annotated[str, Field(pattern=r"^[\w .+-]{1,64}$")]
@@ -39,6 +41,11 @@ class Section(BaseModel):
     """A table of the scenario: unknown keys are refused, numbers are finite, and "12" is no number."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+def _refuse_mixed(points) -> None:
+    if points is not None and len({len(point) for point in points}) > 1:
+        raise ValueError("points of 2 and of 3 numbers are mixed")
 
 
 class SliceSection(Section):
@@ -59,16 +66,21 @@ class SliceSection(Section):
 class CutSection(Section):
     """A cut, drawn from its mouth to its tip."""
 
-    name: Name = Field("cut", description="what retractions and reports call it")
-    points: Annotated[tuple[Point, ...], Strict(False)] = Field(description="2 numbers a point (plane), or 3 (world)")
+    name: Name = Field("cut", description="what retractions, steps and reports call it")
+    points: Points | None = Field(None, description="2 numbers a point (plane), or 3 (world)")
+    markups: Path_ | None = Field(
+        None, description="point file in place of `points`: .mrk.json, .fcsv, .csv, .tag; it says its own frame")
+    markup: str | None = Field(None, description="which markup of a file with several")
+    smooth: bool = Field(False, description="the points are those of a smooth curve, sampled to 0.05 mm")
     craniotomy: bool = Field(True, description="false: this mouth frees nothing at the skull")
     internal: bool = Field(False, description="the cut lies inside, with two tips")
 
     @model_validator(mode="after")
     def _one_kind_of_point(self):
-        if len({len(point) for point in self.points}) > 1:
-            raise ValueError("points mixes points of 2 and of 3 numbers")
-        if len(set(self.points)) < 2:
+        if (self.points is None) == (self.markups is None):
+            raise ValueError("give points or markups, one of them")
+        _refuse_mixed(self.points)
+        if self.points is not None and len(set(self.points)) < 2:
             raise ValueError("points must be at least two different ones, from the mouth to the tip")
         return self
 
@@ -76,6 +88,7 @@ class CutSection(Section):
 class RetractSection(Section):
     """A blade that moves or pushes one lip of a cut."""
 
+    name: Name | None = Field(None, description="what steps call it; '<cut> <side>' when left out")
     cut: Name | None = Field(None, description="name of the cut; may be left out when there is one")
     side: Literal["left", "right"]
     displacement_mm: Vector | None = Field(None, description="displacement of the lip in the plane, mm")
@@ -97,6 +110,34 @@ class RetractSection(Section):
         return self
 
 
+class ResectSection(Section):
+    """Tissue that is taken out."""
+
+    name: Name = Field("resection", description="what steps, loads and reports call it")
+    outline: Points | None = Field(None, description="closed outline, 2 or 3 numbers a point")
+    markups: Path_ | None = Field(None, description="point file with the outline, such as a closed curve of Slicer")
+    markup: str | None = Field(None, description="which markup of a file with several")
+    label: int | None = Field(None, ge=1, description="a label of [tissue] labels")
+    mask: Path_ | None = Field(None, description="image of the resected tissue, not 0 there, on any grid")
+
+    @model_validator(mode="after")
+    def _one_form(self):
+        if sum(value is not None for value in (self.outline, self.markups, self.label, self.mask)) != 1:
+            raise ValueError("give exactly one of outline, markups, label, mask")
+        _refuse_mixed(self.outline)
+        if self.outline is not None and len(set(self.outline)) < 3:
+            raise ValueError("outline must have at least three different points")
+        return self
+
+
+class CompanionSection(Section):
+    """Another image of the patient, on any grid, carried along with the tissue."""
+
+    image: Path_
+    kind: Literal["continuous", "label", "vector", "tensor"] = Field(
+        "continuous", description="labels are taken from the nearest voxel, vectors and tensors turn with the tissue")
+
+
 class SegmentSection(Section):
     """How the organ is found when no mask is given."""
 
@@ -106,21 +147,88 @@ class SegmentSection(Section):
     template_mask: Path_ | None = Field(None, description="the template's mask, for svc")
 
 
+class LabelSection(Section):
+    """The tissue of one label: a kind with its constants from the literature, or constants of your own."""
+
+    kind: Literal["parenchyma", "tumour", "ventricle", "cavity"] = Field(
+        "parenchyma", description="as the rest; three times as stiff; a soft solid (0.1 kPa, 0.1); without stiffness")
+    young_kpa: Positive | None = Field(None, description="Young's modulus, kPa, in place of the kind's")
+    poisson: float | None = Field(None, ge=0, le=0.499, description="Poisson's ratio, in place of the kind's")
+
+
 class TissueSection(Section):
     """The material."""
 
     young_kpa: Positive = Field(3.0, description="Young's modulus, kPa")
     poisson: float = Field(0.45, ge=0, le=0.499, description="Poisson's ratio, below 0.5")
+    labels: Path_ | None = Field(None, description="label map on any grid, for other tissues and for resections")
+    by_label: dict[Annotated[str, Field(pattern=r"^[1-9]\d{0,8}$")], LabelSection] = Field(
+        default={}, description="tissues of labels; what has no entry is as above")
+
+
+class ArcSection(Section):
+    """A part of the outline with a skull of its own: counter-clockwise from near `start` to near `end`."""
+
+    start: Vector = Field(description="plane mm, read in `space`")
+    end: Vector = Field(description="plane mm, read in `space`")
+    skull: Literal["fixed", "sliding", "free", "contact"]
+    skull_gap_mm: NotNegative = Field(0.0, description="gap to the skull, for contact")
 
 
 class BoundarySection(Section):
-    """What holds the organ's outline."""
+    """What holds the organ's outline, and the lips that no blade holds."""
 
-    skull: Literal["fixed", "sliding", "free"] = Field("fixed", description="what the skull does to the outline")
+    skull: Literal["fixed", "sliding", "free", "contact"] = Field(
+        "fixed", description="what the skull does to the outline; contact: tissue may leave it, not pass through it")
+    skull_gap_mm: NotNegative = Field(0.0, description="gap between the outline and the skull, for contact")
     craniotomy_mm: NotNegative = Field(20.0, description="distance from a mouth within which the skull is off")
     skull_ramp_mm: NotNegative = Field(4.0, description="length over which the skull's grip sets in; 0: at a point")
     displacement: Path_ | None = Field(
         None, description="CSV of the outline's measured motion: x,y,ux,uy[,side], plane mm, read in `space`")
+    displacement_weight: Positive | None = Field(
+        None, description="kPa/mm: follow the measured motion by springs this stiff (least squares); else exactly")
+    lips: Literal["contact", "free"] = Field("contact", description="lips do not pass through each other, or are free")
+    loose_pieces: Literal["refuse", "hold", "remove"] = Field(
+        "refuse", description="pieces cut free that nothing holds: an error, kept where they are, or taken out")
+    arc: Annotated[tuple[ArcSection, ...], Strict(False)] = ()
+
+
+class PressureSection(Section):
+    """A pressure on the wall of a resection, or on the outline."""
+
+    name: Name = Field("pressure", description="what steps call it")
+    on: Name = Field(description="name of the resection, or `outline`")
+    kpa: float = Field(description="kPa, positive into the tissue (1 kPa is 7.5 mmHg)")
+
+
+class LoadSection(Section):
+    """Forces on the tissue beside the retractors'."""
+
+    gravity: Vector | None = Field(
+        None, description="direction in the plane, plane RAS; its length, at most 1, is the share of gravity there")
+    density_kg_m3: Positive = Field(1000.0, description="density of the tissue")
+    fluid_density_kg_m3: NotNegative = Field(1007.0, description="density of the cerebrospinal fluid")
+    fluid_level_mm: float | None = Field(
+        None, description="tissue farther along gravity than this (mm from the origin) floats in fluid; none: drained")
+    pressure: Annotated[tuple[PressureSection, ...], Strict(False)] = ()
+
+    @model_validator(mode="after")
+    def _a_direction(self):
+        if self.gravity is not None and not 1e-6 < self.gravity[0] ** 2 + self.gravity[1] ** 2 <= 1.0001:
+            raise ValueError("gravity must be a direction whose length is more than 0 and at most 1")
+        return self
+
+
+class StepSection(Section):
+    """One of several steps in order: what acts from then on, and what ends. What no step names acts from the first."""
+
+    name: Name
+    acts: Annotated[tuple[Name, ...], Strict(False)] = Field(
+        (), description="names of cuts, retractions, resections, pressures, and `gravity`")
+    ends: Annotated[tuple[Name, ...], Strict(False)] = Field(
+        (), description="names of retractions, pressures, or `gravity`, that end here")
+    frame: Literal["preoperative", "current"] = Field(
+        "preoperative", description="current: the cuts and outlines of `acts` are drawn in the slice as it is by then")
 
 
 class MeshSection(Section):
@@ -143,6 +251,7 @@ class SolveSection(Section):
     tip_enrichment: Literal["topological", "geometric", "none"] = Field(
         "topological", description="nodes with tip functions: those about the tip, those near it, or none")
     lip_constraint: Literal["mortar", "nitsche", "pointwise"] = Field("mortar", description="how lips are held")
+    model: Literal["linear", "neo-hookean"] = Field("linear", description="small strains, or finite ones")
     hold_tip: bool = Field(False, description="hold the tip cell's crossings too (pointwise only)")
 
     @model_validator(mode="after")
@@ -158,6 +267,8 @@ class WarpSection(Section):
     interp: Literal["linear", "cubic", "nearest"] = Field("linear", description="interpolation")
     outside: Literal["keep", "zero"] = Field("keep", description="pixels outside the organ")
     fill: float = Field(0.0, description="value of cavity pixels")
+    transforms: Literal["none", "itk", "all"] = Field(
+        "itk", description="the motion for other programs: one ITK transform for viewers, or every form and direction")
 
 
 class Scenario(Section):
@@ -175,15 +286,21 @@ class Scenario(Section):
     resample_mask: bool = Field(False, description="accept a mask on another grid")
     max_memory_gb: Positive = Field(4.0, description="largest image to read, GB")
     strict: bool = Field(False, description="warnings are errors")
+    points: Paths_ = Field((), description="files of landmarks to move: .mrk.json, .fcsv, .csv, .tag")
+    streamlines: Paths_ = Field((), description="tractograms to move: .trk, .tck")
     slice: SliceSection = SliceSection()
     segment: SegmentSection = SegmentSection()
     cut: Annotated[tuple[CutSection, ...], Strict(False)] = ()
     retract: Annotated[tuple[RetractSection, ...], Strict(False)] = ()
+    resect: Annotated[tuple[ResectSection, ...], Strict(False)] = ()
+    companion: Annotated[tuple[CompanionSection, ...], Strict(False)] = ()
     tissue: TissueSection = TissueSection()
     boundary: BoundarySection = BoundarySection()
+    load: LoadSection = LoadSection()
     mesh: MeshSection = MeshSection()
     solve: SolveSection = SolveSection()
     warp: WarpSection = WarpSection()
+    step: Annotated[tuple[StepSection, ...], Strict(False)] = ()
 
 
 def read_toml(path: Path) -> dict:
@@ -231,7 +348,7 @@ def problems(raw: dict, flags: dict[str, str] | None = None) -> list[str]:
         # A tuple is too short when one of its items is wrong, which is told already.
         inner = {item["loc"][:n] for item in items for n in range(len(item["loc"]))}
         found = [_told(item, flags or {}) for item in items if item["type"] != "too_short" or item["loc"] not in inner]
-    return found + _cross_problems(raw)
+    return found + cross_problems(raw)
 
 
 def _told(item: dict, flags: dict[str, str]) -> str:
@@ -250,34 +367,16 @@ def _names_at(location: tuple) -> list[str]:
     """Valid keys of the section at `location`."""
     section = Scenario
     for part in location:
-        if isinstance(part, str):
+        if part in section.model_fields:  # else a place in an array, or a label
             section = _section_of(section.model_fields[part].annotation)
     return list(section.model_fields)
 
 
-def _section_of(annotation) -> type[Section]:
+def _section_of(annotation) -> type[Section] | None:
     """The section inside an annotation such as tuple[CutSection, ...]."""
-    inner = get_args(annotation)
-    return annotation if not inner else _section_of(inner[0])
-
-
-def _cross_problems(raw: dict) -> list[str]:
-    """Problems between sections, told even when a section has its own."""
-    cuts = [item.get("name", "cut") for item in tables(raw, "cut")]
-    found = [f"cut.{i}.name: two cuts are called '{name}'" for i, name in enumerate(cuts) if name in cuts[:i]]
-    for i, retract in enumerate(tables(raw, "retract")):
-        name = retract.get("cut")
-        if name is None and len(cuts) != 1:
-            found.append(f"retract.{i}.cut: say which cut it holds; there are {len(cuts)}")
-        elif name is not None and name not in cuts:
-            near = difflib.get_close_matches(str(name), map(str, cuts), 1, 0.5)
-            hint = f", did you mean '{near[0]}'?" if near else ""
-            found.append(f"retract.{i}.cut: no cut is called '{name}'{hint}")
-    boundary = raw.get("boundary")
-    if raw.get("space") == "voxel" and isinstance(boundary, dict) and boundary.get("displacement") is not None:
-        found.append("boundary.displacement (--boundary-displacement): its rows are plane mm, which space 'voxel' does "
-                     "not read; give them and the cuts in ras or lps")
-    return found
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation
+    return next(filter(None, map(_section_of, get_args(annotation))), None)
 
 
 def _depth(value) -> int:

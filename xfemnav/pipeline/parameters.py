@@ -1,0 +1,203 @@
+"""What each stage reads: one frozen dataclass of parameters a stage.
+
+A stage's key holds exactly its dataclass, so a parameter stands in the stage that uses it and nowhere else.
+"""
+
+from dataclasses import dataclass
+
+#: Kind of a label's tissue: Young's modulus over the parenchyma's, and Poisson's ratio (None: the parenchyma's).
+KINDS = {"parenchyma": (1.0, None), "tumour": (3.0, None), "ventricle": (1 / 30, 0.1), "cavity": (1e-6, 0.0)}
+
+
+@dataclass(frozen=True)
+class ReadParams:
+    """How image files become numbers."""
+
+    volume: int | None = None
+    nan: float | None = None
+    spacing: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class SegmentParams:
+    """Which slice, and how the organ is found in it."""
+
+    plane: str | None
+    index: int | None
+    position_mm: float | None
+    method: str
+    skull: str
+    resample_mask: bool
+
+
+@dataclass(frozen=True)
+class CutParams:
+    """One drawn cut, points in `space`; `drawn_after`: the step in whose deformed slice it was drawn, None for none."""
+
+    name: str
+    points: tuple[tuple[float, ...], ...]
+    space: str
+    craniotomy: bool
+    internal: bool
+    drawn_after: int | None
+
+
+@dataclass(frozen=True)
+class ResectParams:
+    """One resection: a drawn outline in `space`, a label of the label map, or the mask file number `mask`."""
+
+    name: str
+    outline: tuple[tuple[float, ...], ...] | None
+    space: str
+    label: int | None
+    mask: int | None
+    drawn_after: int | None
+
+
+@dataclass(frozen=True)
+class LabelParams:
+    """The constants of a label's tissue."""
+
+    label: int
+    young_kpa: float
+    poisson: float
+
+
+@dataclass(frozen=True)
+class ArcParams:
+    """A part of the outline with a skull of its own."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    skull: str
+    skull_gap_mm: float
+
+
+@dataclass(frozen=True)
+class GravityParams:
+    """The weight of the tissue, less what fluid carries."""
+
+    direction: tuple[float, float]
+    density_kg_m3: float
+    fluid_density_kg_m3: float
+    fluid_level_mm: float | None
+
+
+@dataclass(frozen=True)
+class PressureParams:
+    """A pressure on the wall of the resection with this index; None: on the outline."""
+
+    resection: int | None
+    kpa: float
+
+
+@dataclass(frozen=True)
+class DataEnds:
+    """Where the data of a retraction stop: blades (cut's index, from, to), how far from a mouth the outline is held."""
+
+    cuts: tuple[CutParams, ...]
+    blades: tuple[tuple[int, float, float], ...]
+    grip_mm: float | None
+
+
+@dataclass(frozen=True)
+class MeshParams:
+    """Sizes of the elements; `corridor` are paths and the space of each, empty when the mesh is uniform.
+
+    Only `data_ends`, None unless asked for, make a mesh depend on blades and skull.
+    """
+
+    from_file: bool
+    element_size_mm: float | None
+    corridor_mm: float
+    corridor_element_mm: float | None
+    corridor: tuple[tuple[tuple[tuple[float, ...], ...], str], ...]
+    data_ends: DataEnds | None
+
+
+@dataclass(frozen=True)
+class RetractParams:
+    """One blade on one lip; `cut` is an index, `side` is +1 (left) or -1 (right)."""
+
+    cut: int
+    side: int
+    displacement_mm: tuple[float, float] | None
+    normal_mm: float | None
+    force_mN_per_mm: tuple[float, float] | None
+    blade: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class ConstrainParams:
+    """Cuts, blades, resections, material, loads, and what holds the outline: the whole boundary value problem.
+
+    The mouths of `later_cuts`, which act from a later step on, open the skull already.
+    """
+
+    cuts: tuple[CutParams, ...]
+    later_cuts: tuple[CutParams, ...]
+    retractions: tuple[RetractParams, ...]
+    resections: tuple[ResectParams, ...]
+    space: str
+    young_kpa: float
+    poisson: float
+    labels: tuple[LabelParams, ...]
+    stress_state: str
+    skull: str
+    skull_gap_mm: float
+    arcs: tuple[ArcParams, ...]
+    craniotomy_mm: float
+    skull_ramp_mm: float
+    lips: str
+    loose_pieces: str
+    tip_enrichment: str
+    lip_constraint: str
+    hold_tip: bool
+    model: str
+    boundary_displacement: tuple[tuple[float, ...], ...] | None
+    displacement_weight: float | None
+    gravity: GravityParams | None
+    pressures: tuple[PressureParams, ...]
+
+
+@dataclass(frozen=True)
+class SolveParams:
+    """The problem says it all."""
+
+
+@dataclass(frozen=True)
+class WarpParams:
+    """How the new image is sampled."""
+
+    interp: str
+    outside: str
+    fill: float
+    transforms: str
+
+
+@dataclass(frozen=True)
+class CompanionParams:
+    """Another image to carry, or landmarks and streamlines to move: the role of its file, its stem, and its kind."""
+
+    role: str
+    stem: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class CarryParams:
+    """Everything that is carried along with the image, and how it is sampled."""
+
+    companions: tuple[CompanionParams, ...]
+    interp: str
+    outside: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a run: its name ("" when the run has no steps), what begins and ends with it, and its problem."""
+
+    name: str
+    acts: tuple[str, ...]
+    ends: tuple[str, ...]
+    constrain: ConstrainParams

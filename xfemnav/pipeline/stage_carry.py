@@ -1,0 +1,82 @@
+"""The stage carry: companions, landmarks and streamlines go with the image, each to a file of its own."""
+
+
+def compute(params, inputs):
+    """What is carried along is written as files, not kept as a value."""
+
+
+def facts(value, inputs):
+    """What run.json says of the stage: for each file of landmarks, what became of its points."""
+    tables = [_moved(item, inputs)[2] for item in inputs.config.carry.companions if item.kind == "points"]
+    return {"points": tables} if tables else {}
+
+
+def line(found):
+    """The key figure in a few words."""
+    tables = found.get("points", ())
+    return "; ".join(f"{table['file']}: {table['tissue']} of {table['n']} points in tissue" for table in tables)
+
+
+def publish(value, inputs, folder):
+    """Write the stage's public files into `folder`: carry-<number>, with what it is where there are several."""
+    for number, item in enumerate(inputs.config.carry.companions):
+        write = {"points": _write_points, "streamlines": _write_streamlines}.get(item.kind, _write_companion)
+        write(item, inputs, folder, f"carry-{number}")
+
+
+def _write_companion(item, inputs, folder, name):
+    from xfemnav.imaging.companions import carry
+    from xfemnav.pipeline.files import write_nifti
+
+    params, (slice, _) = inputs.config.carry, inputs.value("segment")
+    image = carry(inputs.image(item.role), slice, inputs.value("warp"), kind=item.kind, interp=params.interp,
+                  outside=params.outside)
+    write_nifti(folder / f"{name}.nii.gz", image)
+
+
+def _write_points(item, inputs, folder, name):
+    from xfemnav.imaging.markups import write_markups
+    from xfemnav.imaging.point_files import write_points
+
+    _, moved, _ = _moved(item, inputs)
+    ending = inputs.files[item.role].suffix.lower()
+    write_points(folder / f"{name}{'.mrk' if ending == '.json' else ''}{ending}", moved)
+    if ending != ".json":
+        write_markups(folder / f"{name}-markups.mrk.json", [moved])
+
+
+def _moved(item, inputs):
+    """The landmarks of a file, those that have a place now, and what became of them."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from xfemnav.geometry.affine_map import PiecewiseAffineMap
+    from xfemnav.imaging.landmarks import ON_A_CUT, OUTSIDE, moved_points
+    from xfemnav.imaging.point_files import read_points
+
+    slice, _ = inputs.value("segment")
+    solution, problem = inputs.value("solve"), inputs.value("constrain")
+    found = read_points(inputs.files[item.role])
+    motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
+    moved = moved_points(found.points, slice, motion, inputs.value("mesh").corners)
+    rows, labels, kept = [], [], []
+    for k, (flag, label) in enumerate(zip(moved.flag, found.labels)):
+        if flag == ON_A_CUT:
+            places = [(moved.lips[k, i], f"{label} {lip} lip".strip()) for i, lip in ((0, "left"), (1, "right"))]
+        else:
+            places = [(found.points[k] if flag == OUTSIDE else moved.moved[k], label)]
+        for place, word in places:
+            if np.isfinite(place).all():
+                rows.append(place)
+                labels.append(word)
+                kept.append(k)
+    columns = {key: tuple(values[k] for k in kept) for key, values in found.columns.items()}
+    table = {"file": inputs.files[item.role].name, "n": len(found.points)}
+    table |= {flag.replace(" ", "_"): moved.flag.count(flag) for flag in ("tissue", "on a cut", "resected", "outside")}
+    now = replace(found, points=np.array(rows).reshape(-1, 3), labels=tuple(labels), columns=columns)
+    return found, now, table
+
+
+def _write_streamlines(item, inputs, folder, name):
+    raise NotImplementedError

@@ -1,0 +1,124 @@
+"""The stage constrain: mesh, cuts, blades, resections, tissues and loads become a boundary value problem."""
+
+
+def _placed(cut, path, outline):
+    """A drawn cut, path (k, 2) plane mm, as it runs inside an outline."""
+    from xfemnav.geometry.cut import place_cut
+
+    return place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy)
+
+
+def compute(params, inputs):
+    """The cuts embedded in the mesh, and the conditions on lips and outline: a Problem."""
+    from xfemnav.mechanics.loads import Gravity, Pressure
+    from xfemnav.mechanics.outline import Arc
+    from xfemnav.mechanics.problem import Retraction, Skull, pose
+
+    slice, _ = inputs.value("segment")
+    mesh = inputs.value("mesh")
+    outline = mesh.points[mesh.boundary_loops[0]]
+    cuts = tuple(_placed(cut, _drawn_path(cut, inputs), outline) for cut in params.cuts)
+    blades = tuple(Retraction(cut=r.cut, side=r.side, displacement_mm=r.displacement_mm, normal_mm=r.normal_mm,
+                              force_mN_per_mm=r.force_mN_per_mm, blade=r.blade) for r in params.retractions)
+    arcs = tuple(Arc(*_plane(slice, (arc.start, arc.end), params.space), arc.skull, arc.skull_gap_mm)
+                 for arc in params.arcs)
+    return pose(
+        mesh, cuts, _tissue(params, mesh, inputs),
+        Skull(params.skull, params.craniotomy_mm, params.skull_ramp_mm, params.skull_gap_mm, arcs), blades,
+        resections=tuple(_resection(item, outline, inputs) for item in params.resections),
+        loose=params.loose_pieces, lips=params.lips, boundary_displacement=_measured(slice, params),
+        boundary_weight=params.displacement_weight, tip_enrichment=params.tip_enrichment,
+        lip_constraint=params.lip_constraint, hold_tip=params.hold_tip, model=params.model,
+        gravity=params.gravity and Gravity(params.gravity.direction, params.gravity.density_kg_m3,
+                                           params.gravity.fluid_density_kg_m3, params.gravity.fluid_level_mm),
+        pressures=tuple(Pressure(load.kpa, load.resection) for load in params.pressures),
+        craniotomies=_later_mouths(params, slice, outline),
+    )
+
+
+def _drawn_path(item, inputs):
+    """Path (k, 2) plane mm of a cut at rest, however it was drawn."""
+    from xfemnav.geometry.redrawn import path_at_rest
+
+    path = _plane(inputs.value("segment")[0], item.points, item.space)
+    return path if item.drawn_after is None else path_at_rest(path, _motion(item, inputs), item.name)
+
+
+def _motion(item, inputs):
+    """The motion of the tissue up to the step in whose slice an item was drawn."""
+    from xfemnav.geometry.affine_map import PiecewiseAffineMap
+
+    solution = inputs.value("solve", item.drawn_after)
+    return PiecewiseAffineMap(solution.rest, solution.moved)
+
+
+def _plane(slice, points, space):
+    from xfemnav.imaging.slices import plane_points
+
+    return plane_points(slice, points, space)
+
+
+def _later_mouths(params, slice, outline):
+    """Where cuts of later steps will enter: the skull is open there already."""
+    cuts = [_placed(cut, _plane(slice, cut.points, cut.space), outline) for cut in params.later_cuts if cut.craniotomy]
+    return tuple(cut.path[0] for cut in cuts if cut.mouth)
+
+
+def _resection(item, outline, inputs):
+    """The tissue that a resection takes out: drawn, a label, or a mask."""
+    from xfemnav.geometry.redrawn import ring_at_rest
+    from xfemnav.geometry.resection import place_resection
+    from xfemnav.imaging.labels import region_rings
+
+    slice, _ = inputs.value("segment")
+    if item.outline is not None:
+        rings = (_plane(slice, item.outline, item.space),)
+    else:
+        role = "labels" if item.label is not None else f"resection:{item.mask}"
+        rings = region_rings(inputs.image(role), slice, item.label)
+    if item.drawn_after is not None and item.label is None:
+        rings = tuple(ring_at_rest(ring, _motion(item, inputs), item.name) for ring in rings)
+    return place_resection(rings, outline, item.name)
+
+
+def _tissue(params, mesh, inputs):
+    """One material, or a mixture in each cell where a label map tells tissues apart."""
+    import numpy as np
+
+    from xfemnav.imaging.labels import label_shares
+    from xfemnav.mechanics.elasticity import Material, mixed
+
+    rest = Material(params.young_kpa, params.poisson, params.stress_state)
+    if not params.labels:
+        return rest
+    slice, _ = inputs.value("segment")
+    shares = label_shares(inputs.image("labels"), slice, mesh.corners, [item.label for item in params.labels])
+    materials = (rest, *(Material(item.young_kpa, item.poisson, params.stress_state) for item in params.labels))
+    return mixed(materials, np.column_stack([1 - shares.sum(axis=1), shares]))
+
+
+def _measured(slice, params):
+    """Rows x, y, ux, uy[, side] (plane mm) of the measured boundary: points and vectors are read as cuts are."""
+    import numpy as np
+
+    if params.boundary_displacement is None:
+        return None
+    rows = np.array(params.boundary_displacement)
+    return np.hstack([_plane(slice, rows[:, :2], params.space), _plane(slice, rows[:, 2:4], params.space), rows[:, 4:]])
+
+
+def facts(value, inputs):
+    """What run.json says of the stage."""
+    enrichment = value.enrichment
+    return {
+        "enrichment": {"heaviside_nodes": len(enrichment.heaviside_nodes), "tip_nodes": len(enrichment.tip_nodes),
+                       "n_dof": int(enrichment.n_dof), "added_dof": int(enrichment.n_dof - 2 * len(value.mesh.points))},
+        "cuts": [{"name": cut.name, "path": cut.path.tolist(), "length_mm": cut.length} for cut in value.cuts],
+        "resections": [{"name": item.name, "area_mm2": item.area_mm2} for item in value.resections],
+        "pieces": [{"name": piece.name, "area_mm2": piece.area_mm2, "place_mm": list(piece.place_mm),
+                    "fate": piece.fate} for piece in value.pieces],
+    }
+
+
+def publish(value, inputs, folder):
+    """The problem is no public file."""

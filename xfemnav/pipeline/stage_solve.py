@@ -1,0 +1,99 @@
+"""The stage solve: a boundary value problem becomes deformed triangles."""
+
+from xfemnav.pipeline.stage import INVERTED_LIMIT_MM2
+
+# Linear strains grow as r^-1/2 at a tip, so a speck of tissue there is inverted at any opening: this much is no news.
+FOLDED_NOTICE_MM2 = 0.01
+LIP_STEP_MM = 1.0  # between the points of a lip that is written
+SIDES = (("left", 1), ("right", -1))
+
+
+def compute(params, inputs):
+    """The motion of the tissue: a Solution."""
+    from xfemnav.errors import warn
+    from xfemnav.mechanics.solution import solve
+
+    solution = solve(inputs.value("constrain"))
+    if solution.inverted_mm2 > FOLDED_NOTICE_MM2:
+        worst = solution.rest[solution.det_F.argmin()].mean(axis=0)
+        warn("W402", f"{solution.inverted_mm2:.3g} mm2 of tissue is turned inside out, the worst near "
+                     f"({worst[0]:.1f}, {worst[1]:.1f}) mm.")
+    return solution
+
+
+def facts(value, inputs):
+    """What run.json says of the stage."""
+    names = [cut.name for cut in inputs.value("constrain").cuts]
+    return {
+        "retractor": [{"cut": names[force.cut], "side": "left" if force.side > 0 else "right",
+                       "force_mN_per_mm": list(force.force_mN_per_mm), "mean_pressure_kPa": force.mean_pressure_kPa}
+                      for force in value.retractor],
+        "tips": [{"cut": names[tip.cut], "point_mm": list(tip.point_mm), "K_I_Pa_sqrt_m": tip.K_I_Pa_sqrt_m,
+                  "K_II_Pa_sqrt_m": tip.K_II_Pa_sqrt_m, "radius_mm": tip.radius_mm} for tip in value.tips],
+        "contact": [{"where": names[each.cut] if each.cut >= 0 else "skull", "length_mm": each.length_mm,
+                     "mean_pressure_kPa": each.mean_pressure_kPa} for each in value.contact],
+        "model": {"name": value.model, "load_steps": value.load_steps, "newton_iterations": value.newton_iterations,
+                  "linear_difference_mm": value.linear_difference_mm},
+        "energy_uJ_per_mm": value.energy,
+        "matrix": {"nnz": value.nnz, "added_nnz": value.added_nnz, "memory_kB": value.matrix_kB},
+        "safe_fraction": safe_fraction(value.rest, value.moved) if value.inverted_mm2 > INVERTED_LIMIT_MM2 else 1.0,
+        "checks": {
+            "residual": value.residual,
+            "inverted_mm2": value.inverted_mm2,
+            "det_F_p01": value.det_F_p01,
+            "largest_strain": value.largest_strain,
+            "min_gap_mm": value.min_gap_mm,
+            "lip_error_mm": {"rms": value.lip_error_rms_mm, "max": value.lip_error_max_mm},
+            "max_displacement_mm": value.max_displacement_mm,
+        },
+    }
+
+
+def inverted_area(rest, moved) -> float:
+    """Area at rest (mm^2) of the triangles (t, 3, 2) that are turned over when moved."""
+    from xfemnav.geometry.mesh import orient
+
+    before, after = (orient(x[:, 0], x[:, 1], x[:, 2]) / 2 for x in (rest, moved))
+    return float(before[before * after < 0].sum())
+
+
+def safe_fraction(rest, moved) -> float:
+    """Largest part, in thousandths, of all displacements that folds no more tissue than the limit.
+
+    The problem is linear, so a part of the data moves every corner by that part. Rounded down.
+    """
+    low, high = 0, 1000
+    while high - low > 1:
+        middle = (low + high) // 2
+        folded = inverted_area(rest, rest + middle / 1000 * (moved - rest))
+        low, high = (middle, high) if folded <= INVERTED_LIMIT_MM2 else (low, middle)
+    return low / 1000
+
+
+def publish(value, inputs, folder):
+    """Write the stage's public files into `folder`."""
+    from xfemnav.imaging.markups import write_markups
+    from xfemnav.pipeline.files import write_soup
+
+    slice, _ = inputs.value("segment")
+    write_markups(folder / "cuts.mrk.json", _drawn(slice, inputs.value("constrain"), value))
+    write_soup(folder / "solution.vtu", slice, value.rest, value.moved,
+               {"strain": value.strain, "det_F": value.det_F, "piece": value.body})
+
+
+def _drawn(slice, problem, solution):
+    """Each cut at rest, and its two lips now, as curves of point sets in the world."""
+    import numpy as np
+    import shapely
+
+    from xfemnav.geometry.affine_map import PiecewiseAffineMap
+    from xfemnav.imaging.points import PointSet
+
+    motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
+    for cut, path in zip(problem.cuts, problem.subcells.paths):
+        along = shapely.get_coordinates(shapely.segmentize(shapely.LineString(path), LIP_STEP_MM))
+        lips = ((f"{cut.name}, {name} lip now", motion.to_current(along, side)) for name, side in SIDES)
+        for name, points in ((cut.name, path), *lips):
+            points = points[np.isfinite(points[:, 0])]  # a lip may be resected
+            if len(points) > 1:
+                yield PointSet("Curve", name, slice.to_world(points), ("",) * len(points))

@@ -1,0 +1,70 @@
+"""The stage warp: deformed triangles become the updated image."""
+
+
+def compute(params, inputs):
+    """The slice after the cut: an Update."""
+    from xfemnav.errors import warn
+    from xfemnav.imaging.warp import covered, enclosed, pull_back, update
+
+    slice, _ = inputs.value("segment")
+    solution, mesh = inputs.value("solve"), inputs.value("mesh")
+    grid = slice.origin, slice.spacing, slice.values.shape
+    motion = pull_back(solution.rest, solution.moved, *grid)
+    updated = update(slice.values, *grid[:2], covered(mesh.corners, *grid), motion,
+                     interp=params.interp, outside=params.outside, fill=params.fill,
+                     now=enclosed(solution.outline, *grid))
+    if updated.overlap.any():
+        x, y = slice.pixel_centres()[updated.overlap].mean(axis=0)
+        warn("W403", f"{updated.overlap.sum() * slice.spacing.prod():.3g} mm2 of tissue lie twice, about "
+                     f"({x:.1f}, {y:.1f}) mm: a lip has moved through the other, or tissue has folded.")
+    return updated
+
+
+def facts(value, inputs):
+    """What run.json says of the stage."""
+    slice, _ = inputs.value("segment")
+    pixel = float(slice.spacing.prod())
+    return {"checks": {"cavity_mm2": float(value.cavity.sum()) * pixel,
+                       "vacated_mm2": float(value.vacated.sum()) * pixel,
+                       "overlap_mm2": float(value.overlap.sum()) * pixel}}
+
+
+def publish(value, inputs, folder):
+    """Write the stage's public files into `folder`."""
+    import numpy as np
+
+    from xfemnav.imaging.lip_labels import lip_labels
+    from xfemnav.imaging.slices import to_nifti
+    from xfemnav.imaging.vectors import vector_nifti
+    from xfemnav.pipeline.files import write_nifti
+
+    slice, _ = inputs.value("segment")
+    problem, solution = inputs.value("constrain"), inputs.value("solve")
+    lips = lip_labels(value.pull_back, value.cavity, solution.rest, problem.subcells.paths)
+    write_nifti(folder / "updated.nii.gz", to_nifti(slice, value.updated, np.float32))
+    write_nifti(folder / "cavity.nii.gz", to_nifti(slice, value.cavity, np.uint8))
+    write_nifti(folder / "overlap.nii.gz", to_nifti(slice, value.overlap, np.uint8))
+    write_nifti(folder / "lips.nii.gz", to_nifti(slice, lips, np.uint8))
+    write_nifti(folder / "field.nii.gz", vector_nifti(slice, value.field @ slice.axes[:2]))
+    _write_transforms(inputs, folder, inputs.config.warp.transforms)
+
+
+def _write_transforms(inputs, folder, which):
+    """The motion for other programs: the ITK transform of viewers, and with "all" every other form and direction."""
+    from xfemnav.imaging.transform import backward, forward, roomy, write_transform
+    from xfemnav.imaging.vectors import field_nifti, write_nrrd
+    from xfemnav.pipeline.files import write_nifti
+
+    solution, mesh = inputs.value("solve"), inputs.value("mesh")
+    if which == "none":
+        return
+    frame = roomy(inputs.value("segment")[0], solution.moved)
+    bridged = backward(frame, mesh.corners, solution.rest, solution.moved)
+    write_transform(folder / "transform.h5", frame, bridged)
+    if which == "all":
+        extended = backward(frame, mesh.corners, solution.rest, solution.moved, "extended")
+        write_transform(folder / "transform-extended.h5", frame, extended)
+        write_nrrd(folder / "field-nrrd.nrrd", frame, bridged, "resampling")
+        write_nifti(folder / "field-itk.nii.gz", field_nifti(frame, bridged))
+        frame = roomy(inputs.value("segment")[0], solution.rest)
+        write_nrrd(folder / "forward-nrrd.nrrd", frame, forward(frame, solution.rest, solution.moved), "modeling")
