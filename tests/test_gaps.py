@@ -28,11 +28,12 @@ def rim(motion):
     return binary_dilation(motion.tissue, np.ones((3, 3))) & ~motion.tissue
 
 
-def strips(edge=9.5, gap=4.0):
-    """Triangles at rest and moved of a strip that ends at `edge` and stays, and of one that moves up by `gap`."""
+def strips(edge=9.5, gap=4.0, stretch=1.0):
+    """Triangles at rest and moved of a strip that ends at `edge` and stays, and of one beyond it that moves up by `gap`
+    and is stretched."""
     low = np.array([[[-1, -1], [30, -1], [30, edge]], [[-1, -1], [30, edge], [-1, edge]]], float)
     high = low * (1, -1) + np.array([0, 2 * edge])
-    return np.concatenate([low, high]), np.concatenate([low, high + np.array([0, gap])])
+    return np.concatenate([low, high]), np.concatenate([low, (high - (0, edge)) * (1, stretch) + (0, edge + gap)])
 
 
 def test_the_bridge_is_linear_across_a_straight_gap():
@@ -48,7 +49,7 @@ def test_the_bridge_is_linear_across_a_straight_gap():
 @pytest.mark.parametrize("edge", [9.05, 9.3, 9.5, 9.8])
 def test_the_bridge_ends_at_the_lips(edge):
     """From lip to lip the field falls by the gap, wherever in a pixel they are, so that all of it rested on the cut."""
-    rest, moved = strips(edge)
+    rest, moved = strips(edge, stretch=1.3)
     pulled = pull_back(rest, moved, np.zeros(2), np.ones(2), (20, 20))
     field = bridged(pulled, ~pulled.tissue, PiecewiseAffineMap(rest, moved))
     n = np.flatnonzero(~pulled.tissue[7])

@@ -63,6 +63,18 @@ def test_at_a_kink_both_segments_count():
     assert (x[left] >= -1e-9).all() and (x[lips & ~left] <= 1e-9).all()
 
 
+def test_round_a_sharp_kink_it_is_the_outer_side():
+    """Nearest to the kink itself, above the first segment's line and yet outside of the bend, which is to the left."""
+    path = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 2.0]])
+    rest = np.array([[[4.1, -1.0], [7.0, 0.5], [4.1, 3.0]]])
+    motion = pull_back(rest, rest, np.array([4.6, 0.3]), np.ones(2), (2, 2))
+    assert motion.tissue[0, 0]
+    gap = np.zeros((2, 2), bool)
+    gap[1, 1] = True
+    for cut, side in ((path, RIGHT), (path[::-1], LEFT)):
+        assert lip_labels(motion, gap, rest, [cut])[0, 0] == side
+
+
 def test_walls_of_what_was_taken_out_are_no_lips(scene):
     """A hole away from the cut beside the opened cut: its walls have no side."""
     _, _, labels = scene

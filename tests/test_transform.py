@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from data_synthetic.phantom import TIP
 from tests.motions import GRID, LAS, MIXED, MOVED, REST, SCENES, THICKNESS, finer, landing, slice_in
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
-from xfemnav.imaging.gaps import NOWHERE
+from xfemnav.imaging.gaps import NOWHERE, bridged, extended
 from xfemnav.imaging.hdf5 import without_times
 from xfemnav.imaging.slices import to_nifti
 from xfemnav.imaging.transform import MARGIN, backward, forward, itk_transform, roomy, write_transform
@@ -119,7 +119,7 @@ def test_room_moves_no_pixel(storage):
     assert_array_equal(roomy(slice, REST).values, slice.values)    # there is room already
 
 
-def test_in_a_roomy_grid_tissue_that_leaves_the_image_is_carried(tmp_path):
+def test_in_a_roomy_grid_tissue_that_leaves_the_image_is_carried():
     slice, shift = slice_in(), np.array([60.0, 0.0])
     moved = REST + shift
     room = roomy(slice, moved)
@@ -127,9 +127,24 @@ def test_in_a_roomy_grid_tissue_that_leaves_the_image_is_carried(tmp_path):
     point = np.array([[120.0, 5.0]])
     assert point[0, 0] > -GRID.origin[0]
     assert_allclose(carried(transform, slice, point), point - shift, atol=1e-9)
-    border = np.ones(room.values.shape, bool)
-    border[1:-1, 1:-1] = False
-    assert_array_equal(backward(room, REST, REST, moved)[border], 0)
+
+
+def test_a_roomy_field_ends_with_zeros():
+    """Tissue that reaches the outermost pixel on each side, and takes its neighbours along."""
+    slice = slice_in()
+    low, high = slice.pixel_centres()[0, 0], slice.pixel_centres()[-1, -1]
+    box = np.array([[low, [high[0], low[1]], high], [low, high, [low[0], high[1]]]])
+    room = roomy(slice, box)
+    field = backward(room, box, box, 1.0005 * box)
+    assert (field != 0).any(axis=-1)[1:-1, 1:-1].all()
+    for border in (field[0], field[-1], field[:, 0], field[:, -1]):
+        assert_array_equal(border, 0)
+
+
+def test_backward_is_the_field_of_the_warp_with_the_gaps_filled():
+    empty = covered(REST, GRID.origin, GRID.spacing, GRID.shape) & ~MOTION.tissue
+    assert_array_equal(FIELDS["bridged"], bridged(MOTION, empty, PiecewiseAffineMap(REST, MOVED)))
+    assert_array_equal(FIELDS["extended"], extended(MOTION, empty))
 
 
 def test_nitransforms_carries_points_as_the_warp_does(tmp_path):
