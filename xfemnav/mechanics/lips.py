@@ -146,14 +146,14 @@ def mortar_rows(space: Space, retraction: Retraction, span, group: int) -> Const
     return vector_rows(csr_array(hats @ space.basis_in(q.points, q.parts)), hats @ given, group)
 
 
-def knots_along(space, cut, span):
-    """Ends of the hats: spaced by twice the local element size."""
+def knots_along(space, cut, span, spacing=2.0):
+    """Ends of the hats: `spacing` local element sizes apart, or a little more."""
     sub = space.subcells
     facets = np.flatnonzero(sub.lip_cut == cut)
     facets = facets[np.argsort(sub.lip_arc[facets, 0])]
     h = space.mesh.sizes[sub.part_cell[sub.lip_parts[facets]]].mean(axis=1)
     low, high = np.clip(sub.lip_arc[facets], *span).T
-    count = np.concatenate([[0.0], np.cumsum((high - low) / (2 * h))])
+    count = np.concatenate([[0.0], np.cumsum((high - low) / (spacing * h))])
     arc = np.concatenate([low[:1], high])
     n = max(1, int(np.floor(count[-1] + 1e-9)))
     return np.interp(np.linspace(0, count[-1], n + 1), count, arc)
