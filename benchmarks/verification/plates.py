@@ -11,6 +11,7 @@ from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import enrich
+from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.space import Space
@@ -23,7 +24,13 @@ def cut_space(mesh: Mesh, cuts: tuple[Cut, ...], tip_enrichment: str, tip_radius
 
 
 def plate_problem(
-    space: Space, cuts: tuple[Cut, ...], material: Material, conditions: list[Constraints], load, tip_enrichment: str
+    space: Space,
+    cuts: tuple[Cut, ...],
+    material: Material,
+    conditions: list[Constraints],
+    load,
+    tip_enrichment: str,
+    contacts: Contacts | None = None,
 ) -> Problem:
     """A problem without skull and retractors."""
     n_dof = space.enrichment.n_dof
@@ -41,6 +48,7 @@ def plate_problem(
         tip_enrichment=tip_enrichment,
         lip_constraint="mortar",
         hold_tip=False,
+        contacts=contacts,
     )
 
 
