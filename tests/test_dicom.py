@@ -1,6 +1,7 @@
 """A folder of DICOM files: one series is one volume in its place; whatever is no whole, even stack is refused."""
 
 import shutil
+import struct
 
 import numpy as np
 import pydicom
@@ -19,6 +20,7 @@ from pydicom.uid import (
 
 from tests.images import ORDERS, image_of, oblique_volume, stored, values_at
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
+from xfemnav.imaging.dicom import _check_fragments
 from xfemnav.imaging.reading import content_digest, read_components, read_image
 
 FLIP = np.diag([-1.0, -1, 1, 1])
@@ -229,6 +231,14 @@ def test_doubled_slices(tmp_path, volume):
     assert code_of(folder) == "E124"
 
 
+def test_a_series_twice_over(tmp_path, volume):
+    folder = write_series(volume, tmp_path / "s")
+    for path in list(folder.iterdir()):
+        shutil.copy(path, folder / f"copy{path.name}")
+    with pytest.raises(XfemnavError, match=r"E124 .* holds one slice twice \(000.dcm, copy000.dcm\)"):
+        read_image(folder)
+
+
 def test_several_images_at_each_position(tmp_path, volume):
     write_series(volume, tmp_path / "s")
     write_series(volume, tmp_path / "s", name="b{:03d}.dcm")
@@ -303,8 +313,9 @@ def test_foreign_files_are_skipped_with_a_warning_or_refused(tmp_path, volume):
     with pytest.warns(XfemnavWarning, match=r"W113 1 files .*notes\.txt"):
         assert read_image(folder).values.shape == volume.values.shape
     for name in ("000005.dcm", "IM0005", "1.2.840.5"):  # could be the slice of an end
-        (folder / name).write_text("hello")
-        assert code_of(folder) == "E101"
+        for text in ("hello", ""):
+            (folder / name).write_text(text)
+            assert code_of(folder) == "E101"
         (folder / name).unlink()
 
 
@@ -321,6 +332,34 @@ def test_dicom_files_without_pixels_are_skipped(tmp_path, volume):
 def test_memory_limit(tmp_path, volume):
     assert code_of(write_series(volume, tmp_path / "s"), max_memory_gb=1e-6) == "E102"
     assert code_of(tmp_path / "s", max_memory_gb=2e-6) == "E102"  # one file of 1.2 kB fits, five do not
+
+
+@pytest.mark.parametrize("end, code", [(b"\xff\xd9", None), (b"\xff\xd9\0", None), (b"", "E101")])
+def test_a_jpeg_stream_has_its_end_mark(end, code):
+    """Fragments that say the right lengths around a stream that was cut off."""
+    stream = b"\xff\xd8" + bytes(20) + end
+    items = b"".join(b"\xfe\xff\x00\xe0" + struct.pack("<I", len(part)) + part for part in (b"", stream))
+    data = items + b"\xfe\xff\xdd\xe0" + bytes(4)
+    if code is None:
+        _check_fragments(data, 0, JPEGLosslessSV1, "x.dcm")
+    else:
+        with pytest.raises(XfemnavError, match=code):
+            _check_fragments(data, 0, JPEGLosslessSV1, "x.dcm")
+
+
+def test_unknown_sequences_are_implicit_inside(tmp_path, volume):
+    """PS3.5 6.2.2: a sequence whose VR nobody knew, of undefined length, in an explicit file."""
+    folder = write_series(volume, tmp_path / "s")
+    whole = read_image(folder).digest
+    inner = struct.pack("<HHI", 0x0009, 0x1001, 4) + b"\x0a\0\0\0"  # implicit: tag, length, value
+    item = struct.pack("<HHI", 0xFFFE, 0xE000, 0xFFFFFFFF) + inner + struct.pack("<HHI", 0xFFFE, 0xE00D, 0)
+    unknown = struct.pack("<HH2sHI", 0x0009, 0x1010, b"UN", 0, 0xFFFFFFFF) + item
+    unknown += struct.pack("<HHI", 0xFFFE, 0xE0DD, 0)
+    for path in folder.iterdir():
+        content = path.read_bytes()
+        place = content.index(struct.pack("<HH", 0x0018, 0x0050) + b"DS")
+        path.write_bytes(content[:place] + unknown + content[place:])
+    assert read_image(folder).digest == whole
 
 
 # Damaged files --------------------------------------------------------------------------------------------------------

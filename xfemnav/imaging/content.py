@@ -44,16 +44,16 @@ def file_bytes(path, limit: int) -> bytes:
 
 
 def each_file(path: Path, limit: int) -> Iterator[tuple[str, bytes]]:
-    """Names and bytes of the regular files in a folder, sorted; not of its folders, and no empty or hidden one."""
+    """Names and bytes of the regular files in a folder, sorted; not of its folders, and no hidden one."""
     try:
-        names = sorted(entry.name for entry in os.scandir(path)
-                       if entry.is_file() and not entry.name.startswith(".") and entry.stat().st_size)
+        sizes = {entry.name: entry.stat().st_size for entry in os.scandir(path)
+                 if entry.is_file() and not entry.name.startswith(".")}
     except OSError as error:
         raise XfemnavError("E100", f"cannot open {path}: {error.strerror}. Correct the path.") from None
-    if len(names) > FILES:
-        raise XfemnavError("E102", f"{path} holds {len(names)} files, over the limit of {FILES}; give the folder of "
+    if len(sizes) > FILES:
+        raise XfemnavError("E102", f"{path} holds {len(sizes)} files, over the limit of {FILES}; give the folder of "
                                    "one DICOM series.")
-    return ((name, file_bytes(path / name, limit)) for name in names)
+    return ((name, file_bytes(path / name, limit) if sizes[name] else b"") for name in sorted(sizes))
 
 
 def opened(packed: bytes, name: str, n_head: int):
