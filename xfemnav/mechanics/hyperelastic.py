@@ -13,21 +13,19 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics import neo_hookean
-from xfemnav.mechanics.minimise import RESIDUAL_LIMIT, Minimum, minimise
+from xfemnav.mechanics.minimise import CONTRADICTION_MM, RESIDUAL_LIMIT, Minimum, minimise
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.space import Space
 
 #: No tissue is squeezed below this part of its area on the way.
 LEAST_DET_F = 0.05
-#: Newton steps for one part of the load; after no more than EASY of them the next part is twice as large.
-MOST_ITERATIONS, EASY = 15, 6
+#: Newton steps for one part of the load, and in all; after no more than EASY of them the next part is twice as large.
+MOST_ITERATIONS, MOST_IN_ALL, EASY = 30, 120, 6
 #: The smallest part of the load that is tried.
-SMALLEST_STEP = 1 / 200
+SMALLEST_STEP = 1 / 100
 #: Newton's step is halved at most so often; the energy must fall by this part of what its slope promises.
 HALVINGS, DESCENT = 6, 1e-4
-#: A gap this much below zero, mm, still counts as kept.
-CLOSED_MM = 1e-8
 #: Where the tangent is not positive definite, points' tangents are made so, with this part of mu at least.
 LEAST_STIFFNESS = 1e-3
 
@@ -151,7 +149,7 @@ def equilibrium(problem: Problem, U0, T, linear: Minimum) -> Equilibrium:
             load_steps += 1
             U, rate, reached = found.U, (found.U - U) / (part - reached), part
             step *= 2 if found.iterations <= EASY else 1
-        elif step / 2 < SMALLEST_STEP:
+        elif step / 2 < SMALLEST_STEP or iterations > MOST_IN_ALL:
             raise XfemnavError("E410", _too_much(problem, reached))
         else:
             step /= 2
@@ -185,21 +183,17 @@ def _too_much(problem, reached):
 
 
 def _newton(organ, T, U, size):
-    """Newton's method from U, which keeps the conditions; its residual, if finite, tells how far it came."""
+    """Newton's method from U, which keeps the conditions; the residual tells whether it ended in equilibrium."""
     contacts = organ.problem.contacts
-    force, residual, iterations = np.zeros(0 if contacts is None else len(contacts.gap)), np.inf, 0
-    if not organ.admits(U):
-        return _Attempt(U, residual, force, 0)
-    while True:
-        slope = organ.slope(U) if contacts is None else organ.slope(U) - contacts.G.T @ force
-        residual = float(np.linalg.norm(T.T @ slope) / size) if _keeps(contacts, U) else np.inf
-        if residual <= RESIDUAL_LIMIT or iterations == MOST_ITERATIONS:
-            return _Attempt(U, residual, force, iterations)
+    force, residual = np.zeros(0 if contacts is None else len(contacts.gap)), np.inf
+    for iterations in range(MOST_ITERATIONS * organ.admits(U)):
         towards = _newton_step(organ, T, U)
-        force, iterations = towards.force, iterations + 1
-        U, before = _descended(organ, U, towards.U - U), U
-        if U is before:
-            return _Attempt(U, residual, force, iterations)
+        force, before, U = towards.force, U, _descended(organ, U, towards.U - U)
+        slope = organ.slope(U) if contacts is None else organ.slope(U) - contacts.G.T @ force
+        residual = float(np.linalg.norm(T.T @ slope) / size)
+        if residual <= RESIDUAL_LIMIT or U is before:
+            return _Attempt(U, residual, force, iterations + 1)
+    return _Attempt(U, residual, force, MOST_ITERATIONS * organ.admits(U))
 
 
 def _newton_step(organ, T, U):
@@ -229,7 +223,7 @@ def _descended(organ, U, direction):
 
 def _keeps(contacts, U):
     """Whether no surfaces pass through each other."""
-    return contacts is None or bool((contacts.G @ U + contacts.gap).min(initial=0.0) >= -CLOSED_MM)
+    return contacts is None or bool((contacts.G @ U + contacts.gap).min(initial=0.0) >= -CONTRADICTION_MM)
 
 
 @dataclass(frozen=True, eq=False)
