@@ -154,6 +154,9 @@ def test_outside_is_kept_or_zero_and_the_cavity_filled():
     empty = SCENE.update.cavity | SCENE.update.vacated
     assert empty.any() and (values[empty] == -2).all() and (values[SCENE.tissue] == 5).all()
     assert (values[~empty & ~SCENE.tissue] == 0).all()
+    drawn_back = SCENE.updated(now=np.zeros_like(SCENE.organ))    # all that is empty is vacated
+    assert_array_equal(SCENE.on_pixels(carry(image, SCENE.frame, drawn_back, kind="continuous", fill=-2,
+                                             outside="zero")), values)
 
 
 def gradients_at(scene, motion):
@@ -180,6 +183,34 @@ def test_vectors_turn_with_the_tissue(intent, axes, signs):
     assert_allclose(values[still], np.tile(vector, (still.sum(), 1)), atol=FLOAT32)
     assert carried.header["intent_code"] == intent
     assert carried.ndim == (5 if intent else 4)
+
+
+def turn_in(frame):
+    """The scene's rotation by 5 degrees (3, 3) in world RAS, in the plane of its frame."""
+    whole = np.eye(3)
+    whole[:2, :2] += rigid(np.radians(5)).G
+    return frame.axes.T @ whole @ frame.axes
+
+
+@pytest.mark.parametrize("intent", [0, 1007])
+def test_in_a_coronal_slice_the_frame_of_a_file_matters(intent):
+    """There LPS and RAS see opposite turns, where they agree on an axial one."""
+    scene, vector, signs = Scene("rigid", "coronal"), np.array([0.6, -0.3, 0.5]), [-1, -1, 1] if intent else [1, 1, 1]
+    field = volume_of(lambda x: np.tile(vector * signs, (len(x), 1)), 4.0, half=(110, 120, 120), nc=3, intent=intent)
+    values = scene.on_pixels(carry(field, scene.frame, scene.update, kind="vector"))
+    values = values.reshape(*scene.tissue.shape, 3)[scene.tissue] * signs
+    assert_allclose(values, np.tile(turn_in(scene.frame) @ vector, (len(values), 1)), atol=FLOAT32)
+
+
+def test_vectors_in_image_axes_come_out_in_those_of_the_slice():
+    """The field is stored along P, I, R and the slice along R, A, S: both right-handed, so FSL's x counts backwards."""
+    vector = np.array([0.6, -0.3, 0.5])
+    axes = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
+    field = volume_of(lambda x: np.tile(axes.T @ vector * [-1, 1, 1], (len(x), 1)), 4.0, axes, (120, 120, 120), 3)
+    assert np.linalg.det(field.affine) > 0
+    values = TURNED.on_pixels(carry(field, TURNED.frame, TURNED.update, kind="vector", axes="image"))
+    wanted = turn_in(TURNED.frame) @ vector * [-1, 1, 1]
+    assert_allclose(values[TURNED.tissue], np.tile(wanted, (TURNED.tissue.sum(), 1)), atol=FLOAT32)
 
 
 def tensor_of(principal):

@@ -205,19 +205,20 @@ def _pieces(line: _Line, s, state, at_lip, elsewhere: str):
 def _moved(line: _Line, s, first, last, state, at, motion) -> np.ndarray:
     """World RAS mm (n, 3) of the places s[at] of the pieces one behind the other, those that move where they are now.
 
-    Beside a cut, each point is on the lip of the side that its piece comes from.
+    Beside a cut, each point is on the lip of the side on which its piece goes on: the point itself may lie on the cut,
+    or beyond it by what a file rounds.
     """
     world, count = line.world(s[at]), last - first + 1
     moves, stop = np.repeat(state == _MOVES, count), np.cumsum(count)
-    inward = np.zeros(len(at), int)    # the way into its piece from each point: from the others, none
-    inward[stop - count], inward[stop - 1] = 1, -1
+    on = np.ones(len(at), int)    # the way on in its piece from each point; from the last one, back
+    on[stop - 1] = -1
     plane, distance = line.frame.from_world(world[moves])
-    inside = s[(at + inward)[moves]]
+    neighbour = s[(at + on)[moves]]
     side = np.zeros(len(plane), int)
     if motion.cuts:
         cuts = shapely.MultiLineString([shapely.LineString(path) for path in motion.cuts])
         near = shapely.dwithin(cuts, shapely.points(plane), LIP)
-        side[near] = motion.beside(_towards(plane[near], line.plane(inside[near])))[1]
+        side[near] = motion.beside(_towards(plane[near], line.plane(neighbour[near])))[1]
     now, beside = motion.to_current(plane), side != 0
     lip = motion.to_current(plane[beside], side[beside])
     now[beside] = np.where(np.isfinite(lip), lip, now[beside])    # where a resection ends a lip the tissue beside it
