@@ -1,11 +1,11 @@
-"""The outline: fixed, sliding or free, open about the mouth, ramped, or moved as measured."""
+"""The outline: fixed, sliding, free or in contact, open about the mouth, ramped, in arcs, or moved as measured."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from data_synthetic import domains
-from tests.meshes import BRAIN, cut_in, disc, jittered, outline, space_of
+from tests.meshes import BRAIN, cut_in, disc, jittered, measured_outline, outline, space_of
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.distmesh import distmesh
@@ -13,7 +13,11 @@ from xfemnav.mechanics import outline as module
 from xfemnav.mechanics.constraints import SKULL
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import BRANCH
-from xfemnav.mechanics.outline import Skull
+from xfemnav.mechanics.lips import Retraction
+from xfemnav.mechanics.loads import Gravity
+from xfemnav.mechanics.outline import Arc, Skull
+from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.solution import solve
 
 MESH = disc()
 CUT = cut_in(MESH, (3, 80), (1.7, 12.3))
@@ -206,3 +210,190 @@ def test_beside_a_mouth_each_lip_has_its_own_value():
 def test_measured_points_that_cannot_be_used_are_refused(measured):
     with pytest.raises(XfemnavError, match="E408"):
         skull_conditions(SPACE, Skull("fixed"), MOUTH, BRAIN, measured)
+
+
+# Contact with the skull -----------------------------------------------------------------------------------------------
+
+WEIGHT = Gravity((0.0, -1.0))
+BALL = distmesh(domains.ellipse(40, 50), 5.0)
+
+
+def rests(skull, gravity=WEIGHT, cuts=(), mesh=BALL, **kind):
+    problem = pose(mesh, cuts, BRAIN, skull, gravity=gravity, **kind)
+    return problem, solve(problem)
+
+
+def outward(problem, solution):
+    """Outward displacement of the outline's nodes, their points, and the forces of the skull (k, 2) on them."""
+    own = np.flatnonzero(problem.contacts.cut == SKULL)
+    G = problem.contacts.G[own]
+    forces = (G.T @ solution.contact_force[own]).reshape(-1, 2)
+    return -(G @ solution.U.ravel()), problem.contacts.points[own], forces
+
+
+@pytest.mark.parametrize("gap", [0.0, 1.5])
+def test_the_skull_bears_the_weight_and_lets_the_tissue_leave_it(gap):
+    """Equilibrium: its forces carry the weight but for 1e-4, the weak springs' part; above it lets go."""
+    problem, solution = rests(Skull("contact", gap_mm=gap))
+    out, points, forces = outward(problem, solution)
+    assert out.max() <= gap + 1e-9 and out.max() == pytest.approx(gap, abs=1e-9)
+    load = problem.load.reshape(-1, 2).sum(axis=0)
+    assert_allclose(forces.sum(axis=0), -load, atol=1e-4 * np.abs(load).max())
+    pressing = solution.contact_force > 0
+    assert pressing[points[:, 1] < -10].all() and not pressing[points[:, 1] > 25].any()  # in between it bulges
+    assert out[points[:, 1] > 25].max() < gap - 0.1
+    (contact,) = solution.contact
+    assert contact.cut == SKULL and 0 < contact.length_mm < 150 and contact.mean_pressure_kPa > 0
+    assert solution.residual <= 1e-8
+
+
+def test_a_gap_that_the_tissue_fills_moves_it_by_the_gap():
+    """On a flat floor the block sinks by the gap, and is squeezed as on the floor itself."""
+    low, lying = (
+        rests(Skull("free", arcs=(Arc((0.1, 0.0), (39.9, 0.0), "contact", gap),)), mesh=BOX)[1] for gap in (2.0, 0.0)
+    )
+    assert_allclose(low.U[:, 1], lying.U[:, 1] - 2, atol=1e-3)  # the weak springs hold 1e-5 of the weight per mm
+    assert low.energy == pytest.approx(lying.energy, rel=1e-3)
+
+
+def test_without_a_load_contact_moves_nothing():
+    solution = rests(Skull("contact"), None)[1]
+    assert not solution.U.any() and solution.contact == () and solution.min_gap_mm == 0
+
+
+def test_a_load_away_from_all_skull_is_refused():
+    """The floor alone, and gravity upwards: nothing holds the block, and the weak springs are no holder."""
+    with pytest.raises(XfemnavError, match="E406"):
+        rests(Skull("free", arcs=(Arc((0.1, 0.0), (39.9, 0.0), "contact"),)), Gravity((0.0, 1.0)), mesh=BOX)
+
+
+def test_a_lip_pulled_off_the_skull_is_no_longer_held_by_it():
+    """A cut opened to one side: with a fixed skull the far side is held; in contact it may slide and leave."""
+    blade = (Retraction(0, 1, displacement_mm=(3.0, 0.0), blade=(0, 0.5)),
+             Retraction(0, -1, displacement_mm=(3.0, 0.0), blade=(0, 0.5)))
+    problem = pose(MESH, (CUT,), BRAIN, Skull("contact"), blade)
+    assert problem.hung is None  # the blades hold it
+    solution = solve(problem)
+    out, points, _ = outward(problem, solution)
+    assert out.max() <= 1e-9 and out.min() < -0.1
+    assert points[np.argmin(out), 0] < 0  # pulled off on the side that it leaves
+    near = np.linalg.norm(points - MOUTH, axis=1)
+    assert near.min() >= 20  # the craniotomy is open
+
+
+def test_what_else_holds_the_tissue_needs_no_weak_springs():
+    for skull in (Skull("contact", arcs=(Arc((40.0, 0.0), (0.0, 50.0), "fixed"),)), Skull("fixed"), Skull("free")):
+        kind = {"boundary_displacement": measured_on(outline(BALL), 0 * outline(BALL))} if skull.kind == "free" else {}
+        assert pose(BALL, (), BRAIN, skull, **kind).hung is None
+    assert pose(BALL, (), BRAIN, Skull("contact")).hung is not None
+
+
+# Arcs -----------------------------------------------------------------------------------------------------------------
+
+def test_arcs_run_counter_clockwise_and_later_ones_win():
+    space = space_of(BOX)
+    arcs = Arc((0.0, 0.0), (40.0, 30.0), "fixed"), Arc((12.0, -1.0), (24.0, 2.0), "free")
+    skull = Skull("free", 0.0, 0.0, arcs=arcs)
+    constraints, _ = skull_conditions(space, skull, np.empty((0, 2)), BRAIN)
+    x = BOX.points[held_nodes(space, constraints)]
+    assert (x[:, 1] < 1e-9).any() and (x[:, 0] > 40 - 1e-9).any()
+    assert ((x[:, 1] < 1e-9) | (x[:, 0] > 40 - 1e-9)).all()  # below and right, not above and left
+    between = (x[:, 1] < 1e-9) & (x[:, 0] > 11) & (x[:, 0] < 25)
+    assert not between.any()
+    assert set(np.round(x[x[:, 1] < 1e-9, 0])) == {*range(2, 12, 2), *range(26, 42, 2)}  # the ends are left to springs
+
+
+def test_each_arc_has_its_own_kind():
+    space = space_of(BOX)
+    skull = Skull("sliding", 0.0, 0.0, arcs=(Arc((0.0, 0.0), (40.0, 0.0), "contact", 0.5),))
+    found = module.skull_conditions(space, skull, np.empty((0, 2)), BRAIN)
+    assert_allclose(found.contacts.points[:, 1], 0)
+    assert_allclose(found.contacts.gap, 0.5)
+    assert_allclose(found.contacts.lengths.sum(), 40.0)
+    assert_allclose(found.contacts.hats[np.argmin(found.contacts.points[:, 0])], [0, 0, 2])
+    down = -found.contacts.G.toarray().reshape(len(found.contacts.gap), -1, 2).sum(axis=1)
+    assert_allclose(down, np.tile([0.0, -1.0], (21, 1)), atol=1e-12)
+    held = held_nodes(space, found.constraints)
+    assert (BOX.points[held, 1] > 0.1).all()
+
+
+def test_the_grip_of_an_arc_grows_over_the_ramp():
+    space = space_of(BOX)
+    skull = Skull("free", 0.0, 8.0, arcs=(Arc((0.0, 0.0), (40.0, 0.0), "fixed"),))
+    constraints, springs = skull_conditions(space, skull, np.empty((0, 2)), BRAIN)
+    held = BOX.points[held_nodes(space, constraints)]
+    assert_allclose(np.sort(held[:, 0]), np.arange(8.0, 33.0, 2.0))
+    floor = np.flatnonzero(BOX.points[:, 1] == 0)
+    k = springs.diagonal()[2 * floor][np.argsort(BOX.points[floor, 0])]
+    assert (np.diff(k[:4]) > 0).all()
+    assert_allclose(k, k[::-1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("arc", [
+    Arc((0.0, 0.0), (40.0, 90.0), "fixed"), Arc((20.0, 15.0), (40.0, 0.0), "free"), Arc((4.0, 0.0), (4.0, 0.0), "free"),
+    Arc((4.1, 0.0), (4.2, 0.0), "contact"), Arc((np.nan, 0.0), (4.2, 0.0), "contact"),
+])
+def test_arcs_off_the_outline_or_without_a_facet_are_refused(arc):
+    with pytest.raises(XfemnavError, match="E409"):
+        skull_conditions(space_of(BOX), Skull("free", arcs=(arc,)), np.empty((0, 2)), BRAIN)
+
+
+def test_a_gap_below_zero_and_an_unknown_kind_are_refused():
+    with pytest.raises(XfemnavError, match="E409"):
+        Skull("contact", gap_mm=-1.0)
+    with pytest.raises(XfemnavError, match="E409"):
+        Arc((0, 0), (1, 0), "contact", np.inf)
+    with pytest.raises(ValueError, match="soft"):
+        Arc((0, 0), (1, 0), "soft")
+
+
+# Measured displacements as springs ------------------------------------------------------------------------------------
+
+def noisy(space_mesh, size, seed=1):
+    loop = outline(space_mesh)
+    G = np.array([[0.01, 0.002], [0.0, -0.004]])
+    return measured_on(loop, loop @ G.T + size * np.random.default_rng(seed).normal(size=loop.shape))
+
+
+def test_a_heavy_weight_is_the_hard_condition():
+    """The difference falls as 1 / weight."""
+    measured = noisy(BOX, 0.1)
+    hard, *soft = (
+        solve(pose(BOX, (), BRAIN, Skull(), boundary_displacement=measured, boundary_weight=w)).U
+        for w in (None, 1e3, 1e4, 1e5)
+    )
+    off = [np.abs(U - hard).max() for U in soft]
+    assert off[2] < 1e-3
+    assert_allclose([off[0] / off[1], off[1] / off[2]], 10, rtol=0.2)
+
+
+def test_a_light_weight_damps_noise_and_keeps_rigid_motion():
+    """Noise costs energy, so springs give way to it; a rigid motion costs none, and is met at any weight."""
+    clean, jitter = noisy(BOX, 0.0), noisy(BOX, 0.1)
+    hard, soft = (
+        [solve(pose(BOX, (), BRAIN, Skull(), boundary_displacement=m, boundary_weight=w)) for m in (jitter, clean)]
+        for w in (None, 0.3)
+    )
+    rough = [np.sqrt(np.mean((a.U - b.U)[np.unique(BOX.boundary_edges)] ** 2)) for a, b in (hard, soft)]
+    assert rough[1] < 0.5 * rough[0]
+    assert soft[0].energy < 0.3 * hard[0].energy
+    loop = outline(BOX)
+    shift = measured_on(loop, np.tile([1.3, -0.4], (len(loop), 1)))
+    for w in (1e-3, 1.0):
+        U = solve(pose(BOX, (), BRAIN, Skull(), boundary_displacement=shift, boundary_weight=w)).U
+        assert_allclose(U, np.tile([1.3, -0.4], (len(U), 1)), atol=1e-8)
+
+
+def test_weighted_lips_at_a_mouth_have_their_own_values():
+    """Halves of a cut box measured apart by weight: each goes its own way."""
+    cut = cut_in(BOX, (20.3, -5), (20.3, 35))
+    measured = measured_outline(BOX, cut, lambda x, side: side[:, None] * np.array([-0.4, 0.1]))
+    solution = solve(pose(BOX, (cut,), BRAIN, Skull(), boundary_displacement=measured, boundary_weight=5.0))
+    left = solution.rest.mean(axis=1)[:, 0] < 20.3
+    assert_allclose((solution.moved - solution.rest)[left], np.broadcast_to([-0.4, 0.1], (left.sum(), 3, 2)), atol=1e-6)
+
+
+@pytest.mark.parametrize("weight", [0.0, -1.0, np.inf, np.nan])
+def test_a_weight_that_is_not_positive_is_refused(weight):
+    with pytest.raises(XfemnavError, match="E408"):
+        pose(BOX, (), BRAIN, Skull(), boundary_displacement=noisy(BOX, 0.0), boundary_weight=weight)

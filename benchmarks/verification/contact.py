@@ -1,7 +1,7 @@
 """Problem g: a closed inclined crack in compression, frictionless; the lips press on each other and slide.
 
 In the crack's own axes the pressure goes through as if there were no crack, and the shear stress alone feels it: the
-field is the uniform one plus Westergaard's of mode II, so K_I = 0 and K_II = sigma sqrt(pi a) sin beta cos beta, exactly.
+field is the uniform one plus Westergaard's of mode II, so that K_I = 0 and K_II = sigma sqrt(pi a) sin beta cos beta.
 """
 
 import numpy as np

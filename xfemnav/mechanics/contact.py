@@ -9,7 +9,8 @@ over the hats it is a continuous, piecewise linear pressure. A row a crossing wo
 other by a little between their means.
 
 The hats begin anew where the gap has a kink of its own: at bends of the cut, at blades' ends, and where another cut
-meets it and the lip's displacement may jump. Where both lips are held there is nothing left to find, and beside removed tissue no lip.
+meets it and the lip's displacement may jump. Where both lips are held there is nothing left to find, and beside removed
+tissue no lip.
 """
 
 from dataclasses import dataclass

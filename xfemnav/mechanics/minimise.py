@@ -134,9 +134,11 @@ def _pressed(lu, A, b, q, G, gap):
     S = G @ lu.solve(G.T.toarray())
     scale = 1 / np.sqrt(np.diag(S))
     S = (S + S.T) / 2 * scale[:, None] * scale
-    for _ in range(ROUNDS):
-        force = scale * _complementary(S, force / scale, opening * scale, TOUCH_MM * scale)
-        q = _refined(lu, A, b + G.T @ force)
+    for n in range(ROUNDS):
+        before, force = force, scale * _complementary(S, force / scale, opening * scale, TOUCH_MM * scale)
+        # The first forces may bring back what a load on weak springs has carried far away; then only what changes
+        # counts, as the rounding of all would move it again.
+        q = _refined(lu, A, b + G.T @ force) if n == 0 else q + lu.solve(G.T @ (force - before))
         opening = gap + G @ q
         error = np.where(force > 0, np.abs(opening), -opening).max()
         if error <= TOUCH_MM:

@@ -52,8 +52,8 @@ class Skull:
     `gap_mm`: how far the outline is from a skull in contact. `arcs` have their own kinds, the later ones before the
     earlier; the craniotomy opens them too.
     What is held by nothing but contact (which holds nobody back from leaving, or from sliding along) also hangs on
-    springs of 1e-6 E / mm along the outline: all its springs together carry under 1e-5 of its weight where contact
-    bears it, and keep it in its place where nothing else does.
+    springs of 1e-6 E / mm along the outline: they carry under 1e-4 of a brain's weight where contact bears it, and keep
+    it in its place where nothing else does.
     """
 
     kind: str = "fixed"
