@@ -243,7 +243,7 @@ def test_the_skull_bears_the_weight_and_lets_the_tissue_leave_it(gap):
     assert pressing[points[:, 1] < -10].all() and not pressing[points[:, 1] > 25].any()  # in between it bulges
     assert out[points[:, 1] > 25].max() < gap - 0.1
     (contact,) = solution.contact
-    assert contact.cut == SKULL and 0 < contact.length_mm < 150 and contact.mean_pressure_kPa > 0
+    assert contact.cut == SKULL and 0 < contact.length_mm < 200 and contact.mean_pressure_kPa > 0
     assert solution.residual <= 1e-8
 
 
