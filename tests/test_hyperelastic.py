@@ -186,8 +186,8 @@ def test_a_cut_opened_by_ten_millimetres(ramp, monkeypatch):
     """No cell is flipped, and convergence is quadratic: the residual's logarithm nearly doubles at the last step."""
     residuals, step = [], hyperelastic._newton_step
 
-    def watched(organ, T, U):
-        found = step(organ, T, U)
+    def watched(organ, T, U, start):
+        found = step(organ, T, U, start)
         residuals.append([np.linalg.norm(T.T @ organ.slope(x)) for x in (U, found.U)])
         return found
 
@@ -239,6 +239,20 @@ def test_too_much_names_the_part_that_was_reached():
     assert 0.05 < part < 1
     safe = solve(opened(mesh, (0.99 * part * 25, 0.0), **how))
     assert safe.inverted_mm2 == 0 and safe.residual <= 1e-8
+
+
+def test_lips_pulled_by_forces():
+    """By a little: as in the linear model. By much: in steps, all free unknowns in balance with the whole force."""
+    mesh = disc(20.0, 4.0)
+    for pull in (0.05, 35.0):
+        lips = tuple(Retraction(0, side, force_mN_per_mm=(side * pull, 0.0), blade=(0.0, 0.4)) for side in (1, -1))
+        cut = cut_in(mesh, (0, 25), (0, 5))
+        problem = pose(mesh, (cut,), BRAIN, Skull("fixed", 6.0, 2.0), lips, model="neo-hookean", lips="free")
+        solution = solve(problem)
+        free = np.setdiff1d(np.arange(len(problem.load)), problem.constraints.C.indices)
+        assert np.abs(organ(problem).slope(solution.U.ravel())[free]).max() <= 1e-6 * pull
+        assert (solution.linear_difference_mm <= 0.02 * solution.max_displacement_mm) == (pull < 1)
+        assert (solution.load_steps == 1) == (pull < 1)
 
 
 def test_nitsches_lips_are_refused():

@@ -133,21 +133,23 @@ def _block_diagonal(A):
 def equilibrium(problem: Problem, U0, T, linear: Minimum) -> Equilibrium:
     """The equilibrium of the neo-Hookean organ among U = U0 + T q, the displacements that keep the conditions.
 
-    linear: the linear model's answer; parts of it keep the same parts of the conditions, and are the first guess.
+    linear: the linear model's answer, a part of which keeps the same part of the conditions and is the first guess.
     Raises XfemnavError E410 when no equilibrium is found for all of the load, with the largest part that has one.
     """
     whole = organ(problem)
     size = _size(whole, U0, T, linear)
-    reached, step, rate, U = 0.0, 1.0, linear.U, np.zeros(len(U0))
+    reached, step, U = 0.0, 1.0, np.zeros(len(U0))
     load_steps = iterations = 0
     while reached < 1:
         part = min(reached + step, 1.0)
-        guess = U + (part - reached) * rate
-        found = _newton(replace(whole, problem=_part_of(problem, part)), T, guess, part * size)
-        iterations += found.iterations
+        partly, guess = replace(whole, problem=_part_of(problem, part)), U + (part - reached) * linear.U
+        if reached > 0:
+            by_tangent = _newton_step(partly, T, U, guess).U
+            guess = by_tangent if whole.admits(by_tangent) else guess
+        found = _newton(partly, T, guess, part * size)
+        iterations += found.iterations + (reached > 0)
         if found.residual <= RESIDUAL_LIMIT:
-            load_steps += 1
-            U, rate, reached = found.U, (found.U - U) / (part - reached), part
+            load_steps, reached, U = load_steps + 1, part, found.U
             step *= 2 if found.iterations <= EASY else 1
         elif step / 2 < SMALLEST_STEP or iterations > MOST_IN_ALL:
             raise XfemnavError("E410", _too_much(problem, reached))
@@ -187,7 +189,7 @@ def _newton(organ, T, U, size):
     contacts = organ.problem.contacts
     force, residual = np.zeros(0 if contacts is None else len(contacts.gap)), np.inf
     for iterations in range(MOST_ITERATIONS * organ.admits(U)):
-        towards = _newton_step(organ, T, U)
+        towards = _newton_step(organ, T, U, U)
         force, before, U = towards.force, U, _descended(organ, U, towards.U - U)
         slope = organ.slope(U) if contacts is None else organ.slope(U) - contacts.G.T @ force
         residual = float(np.linalg.norm(T.T @ slope) / size)
@@ -196,12 +198,12 @@ def _newton(organ, T, U, size):
     return _Attempt(U, residual, force, MOST_ITERATIONS * organ.admits(U))
 
 
-def _newton_step(organ, T, U):
-    """The minimum of the energy's quadratic model about U, made convex if it has none."""
+def _newton_step(organ, T, U, start):
+    """The minimum over `start` + T q of the energy's quadratic model about U, made convex if it has none."""
     for convex in (False, True):
         K = organ.stiffness(U, convex)
         try:
-            return minimise(K, K @ U - organ.slope(U), U, T, organ.problem.contacts)
+            return minimise(K, K @ U - organ.slope(U), start, T, organ.problem.contacts)
         except XfemnavError as error:
             if convex or error.code != "E407":
                 raise

@@ -38,8 +38,8 @@ class Problem:
 
     springs: the skull's ramp and the terms of Nitsche's condition, as stiffness, among them those by which `hung` holds
     what else only touches; spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts that are
-    resected or loose, not in the result; pieces: the bodies of tissue that cuts and resections leave, largest first. With the
-    'neo-hookean' model the tissue's stored energy takes the place of 1/2 U'KU.
+    resected or loose, not in the result; pieces: the bodies of tissue that cuts and resections leave, largest first.
+    With the 'neo-hookean' model the tissue's stored energy takes the place of 1/2 U'KU.
     """
 
     space: Space
