@@ -14,12 +14,12 @@ import click
 from xfemnav.errors import EXIT_OK, EXIT_SOME_FAILED, EXIT_UNTRUSTED
 from xfemnav_cli.telling import printable
 
-IMAGE_SUFFIXES = (".nii.gz", ".nii")
+IMAGE_SUFFIXES = (".nii.gz", ".nii", ".mgz", ".mgh", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
 @dataclass(frozen=True)
 class Item:
-    """One slice: its scenario `<stem>.toml`, its image `<stem>.nii.gz` or `.nii`, and its output folder."""
+    """One slice: its scenario `<stem>.toml`, its image `<stem>.nii.gz` (or another format), and its output folder."""
 
     image: Path
     scenario: Path

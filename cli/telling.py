@@ -56,7 +56,8 @@ class Teller:
         """A stage has ended: its name, how it came, seconds, key and key figure, then its warnings."""
         self.stop()
         key = done.entry.key if self.verbose else done.entry.key[:12]
-        self.say(f"{done.name:<10} {done.status:<7} {done.seconds:7.2f} s  {key}  {done.line}")
+        step = f"{done.step}: " if done.step else ""
+        self.say(f"{done.name:<10} {done.status:<7} {done.seconds:7.2f} s  {key}  {step}{done.line}")
 
     def waiting(self) -> None:
         """Another run holds the output folder."""

@@ -5,7 +5,6 @@ import json
 import random
 import shutil
 import warnings
-from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -17,13 +16,13 @@ import SimpleITK as sitk
 from scipy.ndimage import binary_erosion
 from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 
-from xfemnav.pipeline import keys, stages
+from xfemnav.pipeline import keys, stage_segment
 from xfemnav.pipeline.chain import recorded
 from xfemnav.pipeline.config import STAGES, configure
 from xfemnav.pipeline.runfile import public_name, run_schema
 from xfemnav.pipeline.scenario import problems
 
-ROLES = {"mask", "mesh", "solution", "updated", "cavity", "overlap", "field", "transform"}
+ROLES = {"mask", "mesh", "solution", "cuts", "updated", "cavity", "overlap", "lips", "field", "transform"}
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +139,7 @@ def test_outputs_are_what_their_roles_promise(run, home):
     folder, outputs = home / "out", record["outputs"]
     assert set(outputs) == ROLES and outputs["updated"] == "sub-01_desc-updated_T1w.nii.gz"
     source = nib.load(home / "sub-01_T1w.nii.gz")
-    images = {role: nib.load(folder / outputs[role]) for role in ROLES - {"mesh", "solution", "transform"}}
+    images = {role: nib.load(folder / outputs[role]) for role in ROLES - {"mesh", "solution", "transform", "cuts"}}
     for role, image in images.items():
         assert np.allclose(image.affine, source.affine) and image.shape[:3] == source.shape, role
         assert (folder / outputs[role].replace(".nii.gz", ".json")).is_file()
@@ -240,11 +239,13 @@ def test_input_that_changes_under_way_is_refused_and_nothing_of_it_is_kept(home,
     assert xfemnav(capfd, *command)[0] == 0
     good = (home / "changed" / "changing_desc-updated.nii.gz").read_bytes()
 
+    of_segment = stage_segment.facts
+
     def overwrites(value, inputs):
         shutil.copy(later, image)
-        return stages.segment_facts(value, inputs)
+        return of_segment(value, inputs)
 
-    monkeypatch.setitem(stages.STAGES, "segment", replace(stages.STAGES["segment"], facts=overwrites))
+    monkeypatch.setattr(stage_segment, "facts", overwrites)
     code, _, stderr = xfemnav(capfd, *command, "--force")
     assert code == 65 and "E101 changing.nii.gz changed" in stderr
     monkeypatch.undo()
@@ -348,6 +349,6 @@ def test_itk_resamples_with_the_transform_as_the_run_did(run, home):
 
 def test_lips_that_pass_through_each_other_are_not_trusted(run):
     """One lip pushed 6 mm into the other, which nobody holds: written, but exit 3."""
-    record, _ = run("--left", "0,-6", base=(*QUICK, "--cut", CUT), output="passed", code=3)
+    record, _ = run("--left", "0,-6", "--lips", "free", base=(*QUICK, "--cut", CUT), output="passed", code=3)
     assert record["status"] == "untrusted" and record["error"]["code"] == "E401"
     assert record["checks"]["overlap_mm2"] > 50 and "W403" in [item["code"] for item in record["warnings"]]

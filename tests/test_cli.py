@@ -10,14 +10,14 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import jsonschema
 import pytest
 from small import CUT, OPEN, QUICK, write, xfemnav
 
-from xfemnav.pipeline import disk, locks, stages
-from xfemnav.pipeline.runfile import NAMES, run_schema
+from xfemnav.pipeline import disk, locks, stage_mesh
+from tests.test_chain import ROLES
+from xfemnav.pipeline.runfile import run_schema
 from xfemnav.pipeline.scenario import problems
 from xfemnav_cli.main import main
 from xfemnav_cli.telling import printable
@@ -89,7 +89,7 @@ def test_a_bug_is_told_as_one(head, capfd, monkeypatch):
     def broken(value, inputs):
         raise RuntimeError("wrong\x1b[31m")
 
-    monkeypatch.setitem(stages.STAGES, "mesh", replace(stages.STAGES["mesh"], facts=broken))
+    monkeypatch.setattr(stage_mesh, "facts", broken)
     code, _, stderr = xfemnav(capfd, *command(head))
     assert code == 70 and stderr.startswith("E900 ") and "Traceback" not in stderr and "\x1b" not in stderr
     record = json.loads((head.parent / "head_xfemnav" / "run.json").read_text())
@@ -139,7 +139,7 @@ def test_two_runs_in_one_folder_wait_for_each_other(head):
     texts = [process.communicate(timeout=120)[1] for process in pair]
     assert [process.returncode for process in pair] == [0, 0], texts
     assert sum("waiting" in text for text in texts) <= 1
-    assert outputs(head.parent / "head_xfemnav").keys() == NAMES.keys()
+    assert outputs(head.parent / "head_xfemnav").keys() == ROLES
 
 
 def killed_at_rename(n, arguments):
@@ -230,7 +230,7 @@ def test_full_disk_at_any_write_is_one_error_and_resumable(head, capfd, monkeypa
         assert code == 74 and stderr.splitlines()[-1].startswith("E501 "), stderr
         assert not (out / "run.json").exists() or outputs(out) == {}
         failures += 1
-    assert failures > 5 and outputs(out).keys() == NAMES.keys()
+    assert failures > 5 and outputs(out).keys() == ROLES
 
 
 def test_unwritable_cache_is_a_warning_and_unwritable_output_an_error(head, capfd):
@@ -260,7 +260,7 @@ def test_stage_commands_end_after_their_stage(head, capfd):
     mesh = [*base, "--element-size-mm", "8", "--corridor-element-mm", "4", "--cut", CUT]
     for stage, arguments, roles in (("segment", base, {"mask"}), ("mesh", mesh, {"mask", "mesh"}),
                                     ("constrain", [*mesh, *OPEN], {"mask", "mesh"}),
-                                    ("solve", [*mesh, *OPEN], {"mask", "mesh", "solution"})):
+                                    ("solve", [*mesh, *OPEN], {"mask", "mesh", "solution", "cuts"})):
         code, stdout, stderr = xfemnav(capfd, stage, *arguments)
         assert code == 0 and stdout.splitlines()[-2].startswith(stage), stderr
         assert outputs(head.parent / "part").keys() == roles

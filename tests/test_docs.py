@@ -116,7 +116,8 @@ def test_every_code_on_a_page_exists(page):
 def test_page_of_outputs_names_every_file_key_and_check():
     text = (ROOT / "docs/outputs.md").read_text()
     schema = json.loads((ROOT / "xfemnav/pipeline/run.schema.json").read_text())["properties"]
-    for name in [*NAMES, "figure", "report", *schema, *schema["checks"]["properties"]]:
+    names = [name + ":NAME" if name == "companion" else name for name in NAMES]
+    for name in [*names, "figure", "report", *schema, *schema["checks"]["properties"]]:
         assert f"`{name}`" in text, name
     assert set(CHECKS) == set(schema["checks"]["properties"]), "the report shows every check"
 

@@ -46,7 +46,8 @@ def run():
     mesh = Mesh(points, (cells := Delaunay(points).simplices)[:, ::1])
     near, height = np.abs(points[:, 0]) < 5, points[:, 1]
     enrichment = enriched(np.flatnonzero(near & (height > 25)), np.flatnonzero(near & (np.abs(height - 20) < 5)))
-    problem = SimpleNamespace(mesh=mesh, cuts=(cut(MOUTH, TIP),), enrichment=enrichment)
+    problem = SimpleNamespace(mesh=mesh, cuts=(cut(MOUTH, TIP),), enrichment=enrichment, resections=(),
+                              subcells=SimpleNamespace(tips=np.array([TIP])))
     rest = points[cells]
     inward = rest + 1e-6 * (rest.mean(axis=1, keepdims=True) - rest)
     solution = SimpleNamespace(rest=rest, moved=rest + opened(inward.reshape(-1, 2)).reshape(rest.shape))
@@ -109,7 +110,7 @@ def test_caption_says_how_the_slice_is_shown():
 def test_close_view_holds_every_cut_in_the_shape_of_the_whole():
     whole = np.array([[-70.0, -90.0], [70.0, 90.0]])
     cuts = [cut((0, 80), (5, 40)), cut((30, 60), (20, 50))]
-    close = figure._box_of_cuts(cuts, whole)
+    close = figure._box_of_cuts([each.path for each in cuts], whole)
     points = np.concatenate([each.path for each in cuts])
     assert (points >= close[0]).all() and (points <= close[1]).all()
     np.testing.assert_allclose((close[1] - close[0])[1] / (close[1] - close[0])[0], 180 / 140)
@@ -117,11 +118,14 @@ def test_close_view_holds_every_cut_in_the_shape_of_the_whole():
 
 
 def test_inset_keeps_away_from_every_cut():
+    def lines(*cuts):
+        return SimpleNamespace(cuts=cuts, resections=())
+
     box = np.array([[0.0, 0.0], [100.0, 100.0]])
     upper_left, lower_right = cut((10, 90), (30, 70)), cut((70, 20), (90, 30))
-    x, y = figure._emptiest_corner(box, [upper_left, cut((60, 90), (90, 60)), lower_right])
+    x, y = figure._emptiest_corner(box, lines(upper_left, cut((60, 90), (90, 60)), lower_right))
     assert x < 0.5 and y < 0.5
-    x, y = figure._emptiest_corner(box, [upper_left, cut((10, 30), (30, 10)), lower_right])
+    x, y = figure._emptiest_corner(box, lines(upper_left, cut((10, 30), (30, 10)), lower_right))
     assert x > 0.5 and y > 0.5
 
 
@@ -148,7 +152,8 @@ def test_only_tissue_is_shown_in_the_updated_slice(run):
 def test_overlap_is_drawn_and_a_run_without_cut_too(run, tmp_path):
     plane, mask, problem, solution, update = run
     twice = SimpleNamespace(**{**vars(update), "overlap": update.cavity})
-    none = SimpleNamespace(mesh=problem.mesh, cuts=(), enrichment=enriched([], []))
+    none = SimpleNamespace(mesh=problem.mesh, cuts=(), enrichment=enriched([], []), resections=(),
+                           subcells=SimpleNamespace(tips=np.empty((0, 2))))
     plain = figure.draw_figure(tmp_path / "a.png", plane, mask, problem, solution, update).read_bytes()
     assert figure.draw_figure(tmp_path / "b.png", plane, mask, problem, solution, twice).read_bytes() != plain
     assert figure.draw_figure(tmp_path / "c.png", plane, mask, none, solution, update).stat().st_size > 10_000

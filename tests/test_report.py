@@ -35,13 +35,17 @@ def run():
         "input": {"sha256": "cd" * 32, "shape": [197, 233, 1], "affine": [[1.0, 0.0, 0.0, -98.0]], "dtype": "int16"},
         "slice": {"plane": "axial", "offset": 18.0, "shape": [197, 233]},
         "segmentation": {"method": "vote", "area_mm2": 15000.0},
+        "resections": [], "pieces": [{"name": "organ", "area_mm2": 15000.0, "place_mm": [0.0, 0.0], "fate": "fixed"}],
+        "contact": [],
+        "model": {"name": "linear", "load_steps": 1, "newton_iterations": 1, "linear_difference_mm": 0.0},
         "cuts": [{"name": "approach", "path": [[-54.7, 41.5], [-22.0, 18.0]], "length_mm": 40.27}],
         "mesh": {"n_nodes": 5012, "n_cells": 9876, "min_quality": 0.81, "mean_quality": 0.993, "hausdorff_mm": 0.2},
         "enrichment": {"heaviside_nodes": 77, "tip_nodes": 6, "n_dof": 10226},
         "retractor": [{"cut": "approach", "side": "left", "force_mN_per_mm": [3.0, -4.0], "mean_pressure_kPa": 2.0}],
         "tips": [{"cut": "approach", "point_mm": [-22.0, 18.0], "K_I_Pa_sqrt_m": 35.36, "K_II_Pa_sqrt_m": -1.25,
                   "radius_mm": 4.0}],
-        "checks": {"residual": 1e-12, "inverted_mm2": 0.0, "det_F_p01": 0.97, "cavity_mm2": 166.4, "vacated_mm2": 2.0,
+        "checks": {"residual": 1e-12, "inverted_mm2": 0.0, "det_F_p01": 0.97, "largest_strain": 0.09,
+                   "min_gap_mm": None, "cavity_mm2": 166.4, "vacated_mm2": 2.0,
                    "overlap_mm2": 0.0, "lip_error_mm": {"rms": 0.004, "max": 0.08}, "max_displacement_mm": 3.64},
         "warnings": [{"code": "W301", "text": "the cut starts 2.1 mm inside"}],
     }))
@@ -79,14 +83,14 @@ def test_names_cannot_become_markup(run):
     evil["parameters"]["cut"][0]["name"] = evil["retractor"][0]["cut"] = evil["cuts"][0]["name"] = EVIL
     evil["warnings"][0]["text"] = EVIL
     evil["error"] = {"code": "E401", "text": EVIL}
-    page = Tags(render(evil, PNG))
+    page = Tags(render(evil, {"figure": PNG}))
     assert [attrs["src"][:22] for tag, attrs in page.tags if tag == "img"] == ["data:image/png;base64,"]
     assert not [attrs for _, attrs in page.tags if any(name.startswith("on") for name in attrs)]
     assert "alert(1)" in page.text, "shown as text"
 
 
 def test_the_page_needs_nothing_and_may_run_nothing(run):
-    page = Tags(render(run, PNG))
+    page = Tags(render(run, {"figure": PNG}))
     names = {tag for tag, _ in page.tags}
     assert not names & {"script", "link", "iframe", "object", "embed", "form", "base"}
     links = [attrs[name] for _, attrs in page.tags for name in ("src", "href", "action") if name in attrs]
@@ -98,18 +102,18 @@ def test_the_page_needs_nothing_and_may_run_nothing(run):
 def test_same_run_same_page_cached_or_not(run):
     again = copy.deepcopy(run)
     again["stages"][0] |= {"status": "cached", "seconds": 0.01}
-    assert render(run, PNG) == render(again, PNG)
+    assert render(run, {"figure": PNG}) == render(again, {"figure": PNG})
 
 
 def test_untrusted_is_unmistakable_and_says_why(run):
-    assert 'class="status complete"' in render(run, PNG)
+    assert 'class="status complete"' in render(run, {"figure": PNG})
     run |= {"status": "untrusted", "error": {"code": "E401", "text": "the retraction folds the tissue: 3.1 mm2"}}
-    page = render(run, PNG)
+    page = render(run, {"figure": PNG})
     assert 'class="status untrusted"' in page and "NOT TO BE TRUSTED" in page and "3.1 mm2" in page
 
 
 def test_a_warning_comes_with_its_remedy(run):
-    text = Tags(render(run, None)).text
+    text = Tags(render(run, {})).text
     assert "W301" in text and "2.1 mm inside" in text and FAULTS["W301"].remedy in text
 
 
@@ -148,7 +152,13 @@ def test_methods_paragraph_tells_what_another_lab_needs(run):
     ({"solve": {"lip_constraint": "pointwise"}}, "as in [1]"),
     ({"solve": {"stress_state": "stress"}}, "plane stress"),
     ({"solve": {"tip_enrichment": "none"}}, "no crack-tip functions"),
-    ({"retract": []}, "cut's mouth; the skull's grip set in over 4 mm. The tissue moved"),
+    ({"retract": []}, "cut's mouth; the skull's grip set in over 4 mm. Lips that nothing held could"),
+    ({"boundary": {"lips": "free"}}, "Lips that nothing held were free. The tissue moved"),
+    ({"boundary": {"displacement": "surface.csv", "displacement_weight": 2.0}}, "followed by springs of 2 kPa/mm"),
+    ({"load": {"gravity": [0.0, -1.0]}}, "Gravity acted along (0, -1) on tissue of 1000 kg/m³, drained."),
+    ({"tissue": {"labels": "dseg.nii", "by_label": {"7": {"kind": "tumour", "young_kpa": None, "poisson": None}}}},
+     "Label 7 of dseg.nii was tumour (9 kPa, 0.45)."),
+    ({"companion": [{"image": "a/flair.nii", "kind": "continuous"}]}, "Through the same map went flair.nii."),
 ])
 def test_methods_paragraph_follows_the_parameters(run, change, wanted):
     for section, value in change.items():
@@ -167,13 +177,13 @@ def test_every_choice_of_a_scenario_has_words():
 
 
 def test_paper_is_cited(run):
-    text = Tags(render(run, PNG)).text
+    text = Tags(render(run, {"figure": PNG})).text
     for part in ("Vigneron", "Lecture Notes in Computer Science 3217", "Moës", "not a medical device"):
         assert part in text
 
 
 def test_written_whole_with_any_name(run, tmp_path):
     run["parameters"]["image"] = "caf\udce9.nii"  # a byte that is no UTF-8, as the file system hands it over
-    path = write_report(run, tmp_path, None)
+    path = write_report(run, tmp_path, {})
     assert path == tmp_path / "report.html" and [path] == list(tmp_path.iterdir())
     assert "<img" not in path.read_text(encoding="utf-8")

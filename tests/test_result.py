@@ -80,7 +80,7 @@ def test_a_folder_is_a_result(opened):
 
 
 def test_wrong_arguments_are_told(tmp_path):
-    with pytest.raises(xfemnav.XfemnavError, match=r"E780 opening: unknown option.*no cut"):
+    with pytest.raises(xfemnav.XfemnavError, match=r"E780 opening: unknown option.*nothing moves"):
         xfemnav.run(tmp_path / "head.nii.gz", opening=3)
     assert not hasattr(xfemnav, "nothing")
 

@@ -24,7 +24,7 @@ REMEDIES = {
     "E103": "has NaN or infinite voxels, and --nan is the image's alone. Save it with numbers in their place.",
 }
 FACTS, VALUE = "facts.json", ("value.json", "value.npz")
-OF_SEVERAL_FILES = (".mhd", ".nhdr")  # headers with the voxels in a file beside them
+ALONE = (".nii", ".nii.gz", ".mgz", ".mgh")  # one file is the image: no library is needed to digest it
 STEPWISE = ("constrain", "solve", "warp")  # the stages that every step has of its own
 
 
@@ -235,7 +235,7 @@ class Chain:
                 save(folder, value)
                 self.inputs.values[self.inputs.label(stage.name)] = value
             for role in (role for role in self.input_facts if kind(role) in stage.files):
-                if bytes_digest(self.inputs.files[role]) != self.input_facts[role]["sha256"]:
+                if self._raw(role) != self.input_facts[role]["sha256"]:
                     raise _changed(self.inputs.files[role])
             (folder / "public").mkdir()
             stage.code.publish(value, self.inputs, folder / "public")
@@ -255,9 +255,19 @@ class Chain:
         if kind(role) in ("points", "streamlines"):
             if not os.path.isfile(path):
                 raise XfemnavError("E100", f"no file at {path}. Correct the path.")
-            raw = file_digest(path)
+            raw = self._raw(role)
             return {"digest": raw, "sha256": raw}, ()
         return self._image_facts(role, path)
+
+    def _raw(self, role: str) -> str:
+        """sha256 of the bytes of an input: of a file, or of all files of an image that may lie in several."""
+        path = self.inputs.files[role]
+        alone = kind(role) in ("mesh_file", "points", "streamlines") or path.name.lower().endswith(ALONE)
+        if alone and not os.path.isdir(path):
+            return file_digest(path)
+        from xfemnav.imaging.reading import content_digest
+
+        return content_digest(path, max_memory_gb=self.config.max_memory_gb)
 
     def _image_facts(self, role: str, path: Path) -> tuple[dict, tuple[Warned, ...]]:
         """Digest of the decoded voxels and affine, remembered by the file's name and the digest of its bytes."""
@@ -269,10 +279,10 @@ class Chain:
             write_facts(folder, {"digest": image.digest, "shape": list(image.values.shape), "dtype": image.dtype,
                                  "affine": image.affine.tolist()}, caught)
 
-        several = os.path.isdir(path) or path.suffix.lower() in OF_SEVERAL_FILES
-        if not several and (not os.path.isfile(path) or path.stat().st_size > self.config.max_memory_gb * 1e9):
+        limit = self.config.max_memory_gb
+        if not os.path.isdir(path) and (not os.path.isfile(path) or path.stat().st_size > limit * 1e9):
             self.inputs.decoded(role)  # refuses it, with the reason
-        raw = bytes_digest(path)
+        raw = self._raw(role)
         # What reading warns of names the file.
         key = stage_key("read", ("imaging",), IMAGING, self.inputs.reading(role), {"raw": raw, "name": path.name})
         facts, noted = read_facts(self.cache.obtain(key, build)[0])
@@ -285,15 +295,6 @@ class Chain:
             read_vtu(path, "E209")  # refuses it, with the reason
         raw = file_digest(path)
         return {"digest": raw, "sha256": raw}, ()
-
-
-def bytes_digest(path: Path) -> str:
-    """sha256 of the bytes of a file, or of all files of an image that lies in several."""
-    if os.path.isdir(path) or path.suffix.lower() in OF_SEVERAL_FILES:
-        from xfemnav.imaging.reading import content_digest
-
-        return content_digest(path)
-    return file_digest(path)
 
 
 def kind(role: str) -> str:

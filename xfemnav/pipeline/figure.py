@@ -34,7 +34,7 @@ def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         whole = _box_of_organ(slice, mask)
-        close = _box_of_cuts(problem.cuts, whole)
+        close = _box_of_cuts([*(cut.path for cut in problem.cuts), *_rings(problem)], whole)
         figure, (a, b, c, d, e, f) = _panels(*(whole[1] - whole[0]))
         grey = _window(slice, mask)
         _preoperative(a, slice, problem, grey)
@@ -74,6 +74,7 @@ def _preoperative(panel, slice, problem, grey):
     for cut in problem.cuts:
         _draw_cut(panel, cut, CUT, "black")
         _name_lips(panel, cut, 10, CUT, "black")
+    _draw_resections(panel, problem, CUT, "black")
 
 
 def _mask(panel, slice, mask, problem):
@@ -82,6 +83,7 @@ def _mask(panel, slice, mask, problem):
     _draw_grey(panel, slice, mask, (0, 1))
     for cut in problem.cuts:
         _draw_cut(panel, cut, TIP, "white")
+    _draw_resections(panel, problem, TIP, "white")
 
 
 def _mesh(panel, problem):
@@ -91,6 +93,7 @@ def _mesh(panel, problem):
     _draw_mesh(panel, mesh, "0.5", 0.3)
     for cut in problem.cuts:
         _draw_cut(panel, cut, "black", "white")
+    _draw_resections(panel, problem, "black", "white")
 
 
 def _updated(panel, slice, mask, update, grey):
@@ -112,10 +115,10 @@ def _enrichment(panel, problem, box):
     for cut in problem.cuts:
         _name_lips(panel, cut, 24, "black", "white")
     zoom = INSET * width / (INSET_CELLS * h)
-    for cut in problem.cuts[:1] if zoom > 2 else ():
-        inset = panel.inset_axes([*_emptiest_corner(box, problem.cuts), INSET, INSET], xticks=[], yticks=[], zorder=6)
+    for tip in problem.subcells.tips[:1] if zoom > 2 else ():
+        inset = panel.inset_axes([*_emptiest_corner(box, problem), INSET, INSET], xticks=[], yticks=[], zorder=6)
         _draw_enriched(inset, problem, zoom * h * PANEL_IN / width)
-        low, high = cut.path[-1] + np.outer([-0.5, 0.5], INSET * np.ptp(box, axis=0) / zoom)
+        low, high = tip + np.outer([-0.5, 0.5], INSET * np.ptp(box, axis=0) / zoom)
         inset.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         panel.indicate_inset_zoom(inset, edgecolor="black")
     panel.legend(*panel.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, fontsize=8,
@@ -123,7 +126,7 @@ def _enrichment(panel, problem, box):
 
 
 def _size_at_cuts(problem) -> float:
-    """Element size, mm, about the cuts: the median over the cells with enriched nodes."""
+    """Element size, mm, about the cuts: the median over the cells with enriched nodes, or all where there are none."""
     enriched = np.concatenate([problem.enrichment.heaviside_nodes, problem.enrichment.tip_nodes])
     cells = np.isin(problem.mesh.cells, enriched).any(axis=1)
     return float(np.median(problem.mesh.sizes[cells if cells.any() else slice(None)]))
@@ -135,16 +138,18 @@ def _draw_enriched(panel, problem, cell_in):
     _draw_mesh(panel, mesh, "0.65", 0.5)
     for cut in problem.cuts:
         _draw_cut(panel, cut, "black", "white")
+    _draw_resections(panel, problem, "black", "white")
     style = dict(ls="none", mfc="none", ms=float(np.clip(0.5 * 72 * cell_in, 2.5, 9.0)), mew=0.9, zorder=5)
     panel.plot(*mesh.points[J].T, marker="o", mec=HEAVISIDE, label=f"set J: {len(J)} nodes, H (Eq. 2)", **style)
     panel.plot(*mesh.points[K].T, marker="s", mec=TIP, label=f"set K: {len(K)} nodes, $F_1$..$F_4$ (Eq. 3)", **style)
 
 
-def _emptiest_corner(box, cuts):
-    """Lower left corner, as fractions of `box`, of the inset's place that is farthest from all cuts."""
+def _emptiest_corner(box, problem):
+    """Lower left corner, as fractions of `box`, of the inset's place that is farthest from all cuts and resections."""
     places = np.array([(x, y) for x in (0.01, 0.99 - INSET) for y in (0.15, 0.99 - INSET)])  # .15: above the scale bar
     centres = box[0] + (places + INSET / 2) * (box[1] - box[0])
-    along = [start + t * (end - start) for cut in cuts for start, end in zip(cut.path, cut.path[1:])
+    lines = [*(cut.path for cut in problem.cuts), *_rings(problem)]
+    along = [start + t * (end - start) for line in lines for start, end in zip(line, line[1:])
              for t in np.linspace(0, 1, 20)]
     distance = np.linalg.norm(centres[:, None] - along, axis=2).min(axis=1)
     return places[np.argmax(distance)]
@@ -180,6 +185,16 @@ def _draw_mesh(panel, mesh, grey, width):
 
 def _draw_cut(panel, cut, colour, halo):
     panel.plot(*cut.path.T, color=colour, lw=1.8, solid_capstyle="butt", path_effects=_halo(3, halo))
+
+
+def _rings(problem):
+    """Closed outlines (k, 2) mm of everything that is taken out, their first points repeated."""
+    return [np.vstack([ring, ring[:1]]) for resection in problem.resections for ring in resection.rings]
+
+
+def _draw_resections(panel, problem, colour, halo):
+    for ring in _rings(problem):
+        panel.plot(*ring.T, color=colour, lw=1.4, ls=(0, (4, 2)), path_effects=_halo(2.4, halo))
 
 
 def _name_lips(panel, cut, gap, colour, halo):
@@ -250,11 +265,11 @@ def _box_of_organ(slice, mask):
     return np.array([middle - half, middle + half])
 
 
-def _box_of_cuts(cuts, whole):
-    """Corners (2, 2) mm of the closest view on all cuts that has the shape of `whole`; `whole` itself without cuts."""
-    if not cuts:
+def _box_of_cuts(lines, whole):
+    """Corners (2, 2) mm of the closest view on all lines that has the shape of `whole`; `whole` itself without any."""
+    if not lines:
         return whole
-    points = np.concatenate([cut.path for cut in cuts])
+    points = np.concatenate(lines)
     shape = whole[1] - whole[0]
     half = shape / 2 * ((np.ptp(points, axis=0) + 2 * MARGIN_MM) / shape).max()
     middle = (points.min(axis=0) + points.max(axis=0)) / 2

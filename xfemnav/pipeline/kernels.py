@@ -16,7 +16,7 @@ from pathlib import Path
 
 from xfemnav.pipeline.keys import PACKAGE, source_digest
 
-LAYERS = ("geometry", "imaging")  # where kernels stand
+LAYERS = ("geometry", "mechanics", "imaging")  # where kernels stand
 NAME = "xfemnav-kernels-"
 FORGET_S = 30 * 86400  # kernels of other code are removed when nothing has been added to them for so long
 

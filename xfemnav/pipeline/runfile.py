@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
+from xfemnav.imaging.sidecars import SIDECARS
 from xfemnav.pipeline.disk import remove_temporaries, write_atomic, write_together, writing
 from xfemnav.pipeline.keys import file_digest
 from xfemnav.pipeline.locks import locked
@@ -35,7 +36,7 @@ NAMES = {
     "transform": ("updated", "xfm", ".h5"),
     "transform-extended": ("extended", "xfm", ".h5"),
     "field-nrrd": ("field", "xfm", ".nrrd"),
-    "field-itk": ("fielditk", "xfm", ".nii.gz"),
+    "field-nifti": ("fielditk", "xfm", ".nii.gz"),
     "forward-nrrd": ("forward", "xfm", ".nrrd"),
     "cuts": ("cuts", "markups", ".mrk.json"),
     "companion": ("updated", None, ".nii.gz"),
@@ -43,19 +44,17 @@ NAMES = {
     "points-markups": ("updated", "points", ".mrk.json"),
     "streamlines": ("updated", "streamlines", ""),
 }
+WITH_SIDECAR = (".nii.gz", ".nrrd", ".h5")
 PAGES = {"figure": ("figure", ".png"), "report": ("report", ".html")}
 #: Roles whose files are named after a carried file, not after the image.
 CARRIED = ("companion", "points", "streamlines")
-SIDECARS = {
+DESCRIBED = SIDECARS | {
     "mask": {"Description": "Organ in the slice, holes filled", "Type": "Brain"},
     "updated": {"Description": "The slice after the cut and retraction"},
     "cavity": {"Description": "Pixels of the organ that hold no tissue after the motion", "Type": "ROI"},
     "overlap": {"Description": "Pixels that hold tissue twice after the motion", "Type": "ROI"},
-    "lips": {"Description": "Pixels of tissue beside the opened cut: 1 its left lip, 2 its right one"},
     "field": {"Description": "Resting position minus position; 0 where there is no tissue", "Units": "mm",
               "VectorFrame": "LPS+", "Direction": "output->input"},
-    "field-itk": {"Description": "Resting position minus position, in three equal slices; from lip to lip in the gap",
-                  "Units": "mm", "VectorFrame": "LPS+", "Direction": "output->input"},
     "companion": {"Description": "Another image of the patient after the motion, on the grid of the updated slice"},
 }
 
@@ -101,8 +100,8 @@ def public_name(image: Path, role: str, source: str = "") -> str:
 
 
 def sidecar_name(name: str) -> str:
-    """Name of the JSON beside an image."""
-    return name.removesuffix(".nii.gz") + ".json"
+    """Name of the JSON beside an image or a transform."""
+    return re.sub(r"\.(nii\.gz|nrrd|h5)$", "", name) + ".json"
 
 
 def read_record(folder: Path) -> dict:
@@ -149,7 +148,7 @@ class OutputFolder:
         changed = {names[role]: source.read_bytes() for role, (source, sha256) in files.items()
                    if not self._holds(names[role], sha256)}
         maker = {"Sources": [self.image.name], "GeneratedBy": [{"Name": "xfemnav", "Version": record["version"]}]}
-        described = {role: SIDECARS[role.partition(":")[0]] for role in files if role.partition(":")[0] in SIDECARS}
+        described = {role: DESCRIBED[role.partition(":")[0]] for role in files if role.partition(":")[0] in DESCRIBED}
         for role, content in described.items():
             sidecar = json_text(content | maker).encode()
             name = sidecar_name(names[role])
@@ -190,7 +189,7 @@ class OutputFolder:
         """
         fixed = {role for role in (*NAMES, *PAGES) if role.partition("-")[0] not in CARRIED}
         new = {public_name(self.image, role) for role in (*fixed, *roles)}
-        new |= {sidecar_name(name) for name in new if name.endswith(".nii.gz")}
+        new |= {sidecar_name(name) for name in new if name.endswith(WITH_SIDECAR)}
         targets = {(self.path / name).resolve() for name in self.earlier | new | {RECORD}}
         for path in inputs:
             if path.resolve() in targets:
@@ -213,7 +212,7 @@ def _claimed(record: dict) -> set[str]:
     outputs, claims = record.get("outputs"), record.get("claims")
     found = [*(outputs.values() if isinstance(outputs, dict) else ()), *(claims if isinstance(claims, list) else ())]
     names = {name for name in found if isinstance(name, str) and os.sep not in name and name not in (".", "..")}
-    return names | {sidecar_name(name) for name in names if name.endswith(".nii.gz")}
+    return names | {sidecar_name(name) for name in names if name.endswith(WITH_SIDECAR)}
 
 
 @contextmanager

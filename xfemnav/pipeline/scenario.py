@@ -133,7 +133,7 @@ class ResectSection(Section):
 class CompanionSection(Section):
     """Another image of the patient, on any grid, carried along with the tissue."""
 
-    image: Path_
+    image: Path_ = Field(description="any format and grid; vectors and tensors with all their components")
     kind: Literal["continuous", "label", "vector", "tensor"] = Field(
         "continuous", description="labels are taken from the nearest voxel, vectors and tensors turn with the tissue")
 
@@ -171,7 +171,7 @@ class ArcSection(Section):
 
     start: Vector = Field(description="plane mm, read in `space`")
     end: Vector = Field(description="plane mm, read in `space`")
-    skull: Literal["fixed", "sliding", "free", "contact"]
+    skull: Literal["fixed", "sliding", "free", "contact"] = Field(description="what the skull does there")
     skull_gap_mm: NotNegative = Field(0.0, description="gap to the skull, for contact")
 
 
@@ -222,7 +222,7 @@ class LoadSection(Section):
 class StepSection(Section):
     """One of several steps in order: what acts from then on, and what ends. What no step names acts from the first."""
 
-    name: Name
+    name: Name = Field(description="what files and the report call it")
     acts: Annotated[tuple[Name, ...], Strict(False)] = Field(
         (), description="names of cuts, retractions, resections, pressures, and `gravity`")
     ends: Annotated[tuple[Name, ...], Strict(False)] = Field(

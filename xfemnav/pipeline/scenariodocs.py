@@ -16,29 +16,42 @@ A scenario is a TOML file with the settings of one run: `xfemnav run --scenario 
 Paths are relative to the file and stay in its folder. Lengths are mm, stiffnesses kPa, forces mN per mm of thickness.
 An example is in [worked-case.md](worked-case.md).
 
-On the command line, `--cut`, `--left`, `--right`, `--lip-force`, `--opening-mm`, `--blade` and `--internal` say what
-`[[cut]]` and `[[retract]]` say here. A `--cut` takes the place of all cuts of the scenario and of what held their lips.
+On the command line, `--cut`, `--markup`, `--left`, `--right`, `--lip-force`, `--opening-mm`, `--blade` and `--internal`
+say what `[[cut]]` and `[[retract]]` say here. A `--cut` takes the place of all cuts of the scenario and of what held
+their lips; a `--resect` takes the place of all resections. `--companion [KIND=]FILE`, `--points` and `--streamlines`
+come after the scenario's own.
 """
 
 
 def page() -> str:
     """The whole page, Markdown: the keys at the top, then a table a section."""
     schema = Scenario.model_json_schema()
-    top = {name: item for name, item in schema["properties"].items() if section_of(item) is None}
-    lines = [HEAD, "## At the top\n", table("", top, schema.get("required", ()))]
-    for name, item in schema["properties"].items():
+    lines = [HEAD, "## At the top\n", table("", plain_keys(schema), schema.get("required", ()))]
+    return "\n".join([*lines, *sections("", schema, schema["$defs"])])
+
+
+def plain_keys(section: dict) -> dict:
+    """The keys of a section that are no sections themselves."""
+    return {name: item for name, item in section["properties"].items() if section_of(item) is None}
+
+
+def sections(prefix: str, parent: dict, definitions: dict):
+    """Heading, words and table of every section in a section, and of those inside them."""
+    for name, item in parent["properties"].items():
         section = section_of(item)
         if section is not None:
-            found = schema["$defs"][section]
-            brackets = f"[[{name}]]" if item.get("type") == "array" else f"[{name}]"
-            lines += [f"## {brackets}\n", found["description"] + "\n",
-                      table(name, found["properties"], found.get("required", ()))]
-    return "\n".join(lines)
+            found = definitions[section]
+            place = prefix + name + (".LABEL" if "patternProperties" in item else "")
+            yield f"## {f'[[{place}]]' if item.get('type') == 'array' else f'[{place}]'}\n"
+            yield found["description"] + "\n"
+            yield table(place, plain_keys(found), found.get("required", ()))
+            yield from sections(f"{place}.", found, definitions)
 
 
 def section_of(item: dict) -> str | None:
-    """Name of the schema of a section or of an array's sections; None for a plain key."""
-    reference = item.get("$ref") or item.get("items", {}).get("$ref")
+    """Name of the schema of a section, or of the sections of an array or by label; None for a plain key."""
+    inner = [item, item.get("items"), item.get("additionalProperties"), *item.get("patternProperties", {}).values()]
+    reference = next((each["$ref"] for each in inner if isinstance(each, dict) and "$ref" in each), None)
     return reference.rsplit("/", 1)[1] if reference else None
 
 
@@ -63,7 +76,7 @@ def values(item: dict) -> str:
         return f"`{kind['const']}`"
     if kind["type"] == "array":
         inner = kind["items"] if "items" in kind else kind["prefixItems"][0]
-        return "points" if inner.get("type") == "array" else "numbers"
+        return {"array": "points", "string": "texts"}.get(inner.get("type"), "numbers")
     return {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}[kind["type"]]
 
 

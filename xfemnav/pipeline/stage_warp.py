@@ -51,6 +51,8 @@ def publish(value, inputs, folder):
 
 def _write_transforms(inputs, folder, which):
     """The motion for other programs: the ITK transform of viewers, and with "all" every other form and direction."""
+    import numpy as np
+
     from xfemnav.imaging.transform import backward, forward, roomy, write_transform
     from xfemnav.imaging.vectors import field_nifti, write_nrrd
     from xfemnav.pipeline.files import write_nifti
@@ -58,13 +60,14 @@ def _write_transforms(inputs, folder, which):
     solution, mesh = inputs.value("solve"), inputs.value("mesh")
     if which == "none":
         return
-    frame = roomy(inputs.value("segment")[0], solution.moved)
+    slice, _ = inputs.value("segment")
+    frame = roomy(slice, np.concatenate([mesh.corners, solution.moved]))
     bridged = backward(frame, mesh.corners, solution.rest, solution.moved)
     write_transform(folder / "transform.h5", frame, bridged)
     if which == "all":
         extended = backward(frame, mesh.corners, solution.rest, solution.moved, "extended")
         write_transform(folder / "transform-extended.h5", frame, extended)
         write_nrrd(folder / "field-nrrd.nrrd", frame, bridged, "resampling")
-        write_nifti(folder / "field-itk.nii.gz", field_nifti(frame, bridged))
-        frame = roomy(inputs.value("segment")[0], solution.rest)
+        write_nifti(folder / "field-nifti.nii.gz", field_nifti(frame, bridged))
+        frame = roomy(slice, mesh.corners)
         write_nrrd(folder / "forward-nrrd.nrrd", frame, forward(frame, solution.rest, solution.moved), "modeling")
