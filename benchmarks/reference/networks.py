@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from benchmarks.reference.cases import BRAIN, FREE, LIFT, MOUTH, TIP, Retracted, disc, switches
+from benchmarks.reference.cases import BRAIN, LIFT, MOUTH, TIP, Retracted, disc, switches
 from benchmarks.reference.elasticity import Model, Tissue
 from benchmarks.reference.mesh import Grading, conforming_mesh
 
@@ -107,7 +107,7 @@ def _is_held(x, inward, side):
 
 
 def _singular(network, organ, switch):
-    """Points ((x, y), ...) to refine at: data's ends; cuts' ends, bends and meetings; corners of a resection's mouth."""
+    """Points ((x, y), ...) to refine at: ends of data, of cuts; bends and meetings; corners of a resection's mouth."""
     lines = shapely.get_parts(network.lines)
     points = [*switch, END, *(point for line in lines for point in line.coords)]
     for k, line in enumerate(lines):

@@ -81,7 +81,9 @@ def posed(
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Error |u - reference| (k,) mm at points (k, 2) mm; weights (k,) mm^2; distances to the cut and to the switches.
+    """Error |u - reference| (k,) mm at points (k, 2) mm; weights (k,) mm^2; distances to the cuts and the switches, mm.
+
+    The rim of what was resected counts as a cut.
 
     size (k,) mm is the local element size; the points are one random point of every cell, and the nodes, whose weight
     is 0.
@@ -113,8 +115,8 @@ class Comparison:
         return (self.from_cut > cells * self.size) & (np.minimum(self.from_cut, self.from_switch) >= beyond_mm)
 
 
-def compare(problem: Problem, solution: Solution, field: Field) -> Comparison:
-    """Displacements of a solution beside the reference's."""
+def compare(problem: Problem, solution: Solution, field: Field, removed=()) -> Comparison:
+    """Displacements of a solution beside the reference's; `removed`: the loop ((x, y), ...) mm of what was resected."""
     mesh = problem.mesh
     inside = np.random.default_rng(0).dirichlet(np.ones(3), len(mesh.cells))
     points = np.concatenate([np.einsum("ca,cai->ci", inside, mesh.corners), mesh.points])
@@ -122,9 +124,12 @@ def compare(problem: Problem, solution: Solution, field: Field) -> Comparison:
     np.maximum.at(node_size, mesh.cells, mesh.sizes[:, None])
     size = np.concatenate([mesh.sizes, node_size])
     weights = np.concatenate([mesh.areas, np.zeros(len(mesh.points))])
-    from_cut = shapely.LineString(problem.cuts[0].path).distance(shapely.points(points))
-    # The mesh's outline and the reference's differ by the chords' sagitta.
+    removed = shapely.Polygon(removed)
+    lines = shapely.union_all([removed.boundary, *(shapely.LineString(cut.path) for cut in problem.cuts)])
+    from_cut = lines.distance(shapely.points(points))
+    # The mesh's outline and the reference's differ by the chords' sagitta, a rim by its snapping.
     keep = (from_cut > 1e-6) & (np.hypot(*points.T) < np.linalg.norm(MOUTH) - 0.02)
+    keep &= ~shapely.contains_xy(removed.buffer(0.02), *points.T)
     points = points[keep]
     error = np.linalg.norm(problem.space.basis_at(points) @ solution.U - field(points), axis=1)
     from_switch = np.linalg.norm(points[:, None] - switches(), axis=2).min(axis=1)
