@@ -9,6 +9,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.tip_stiffness import tip_blocks
 
 
 @dataclass(frozen=True)
@@ -123,37 +124,45 @@ def strain_operator(gradient) -> np.ndarray:
 
 
 def stiffness(space: Space, material: Material | Tissue, cells=None) -> csc_array:
-    """K (n_dof, n_dof) kPa, per mm of thickness; symmetric. With `cells`, only their share: their element stiffness.
+    """K (n_dof, n_dof) kPa, per mm of thickness; symmetric. With `cells`, only their share: their element stiffness."""
+    subcells, n_dof = space.subcells, space.enrichment.n_dof
+    chosen = np.ones(subcells.n_parts, bool) if cells is None else np.isin(subcells.part_cell, cells)
+    rows, columns, data = stiffness_entries(space, material, chosen)
+    K = coo_array((data, (rows, columns)), (n_dof, n_dof)).tocsc()
+    return csc_array((K + K.T) / 2)
+
+
+def stiffness_entries(space: Space, material: Material | Tissue, chosen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and values kPa, to be added up, of the stiffness of the `chosen` parts (p,) bool.
 
     Plain and Heaviside parts carry constant gradients, so their integrals are exact. Parts with branch functions are
     integrated by the tip-adapted rule.
     """
     subcells, table = space.subcells, space.enrichment
-    chosen = np.ones(subcells.n_parts, bool) if cells is None else np.isin(subcells.part_cell, cells)
     branched = np.zeros(subcells.n_parts, dtype=bool)
     branched[space.branch_parts] = True
     area = np.bincount(subcells.part, subcells.areas, subcells.n_parts)
     plain = np.flatnonzero(chosen & ~branched)
-    # K_c = area B' D B
-    D = material.stiffness_in(subcells.part_cell[plain])
-    B = strain_operator(space.mesh.gradients[subcells.part_cell[plain]])
-    K_c = np.einsum("csa,cst,ctb->cab", B * area[plain, None, None], D, B, optimize=True)
+    cell = subcells.part_cell[plain]
+    K_c = plain_blocks(space.mesh.gradients[cell], area[plain], material.stiffness_in(cell))
     dof = (2 * table.dof[plain][:, :, None] + np.arange(2)).reshape(-1, 6)
-    rows, columns = np.repeat(dof, 6, axis=1).ravel(), np.tile(dof, (1, 6)).ravel()
-    K = coo_array((K_c.ravel(), (rows, columns)), (table.n_dof, table.n_dof)).tocsc()
+    entries = [(np.repeat(dof, 6, axis=1).ravel(), np.tile(dof, (1, 6)).ravel(), K_c.ravel())]
     about_tip = np.flatnonzero((chosen & branched)[subcells.part])
     if len(about_tip):
         points, weights, owner = tip_rule(subcells.corners[about_tip], subcells.tips)
         parts = subcells.part[about_tip][owner]
-        K = K + _quadrature_stiffness(space, material.stiffness_in(subcells.part_cell[parts]), points, weights, parts)
-    return csc_array((K + K.T) / 2)
+        D = material.stiffness_in(subcells.part_cell[np.unique(parts)])
+        K_c, dof = tip_blocks(space, points, weights, parts, D)
+        rows, columns = np.broadcast_arrays(dof[:, :, None], dof[:, None, :])
+        own = (rows >= 0) & (columns >= 0)
+        entries.append((rows[own], columns[own], K_c[own]))
+    return tuple(np.concatenate(column) for column in zip(*entries))
 
 
-def _quadrature_stiffness(space, D, points, weights, parts):
-    """sum_q w B' D B with the sparse strain operator B of all quadrature points at once; D (q, 3, 3)."""
-    G = strain_matrices(space, points, parts)
-    stress = stress_matrices(G, D * weights[:, None, None])
-    return csc_array(sum(G[s].T @ stress[s] for s in range(3)))
+def plain_blocks(gradients, area, D) -> np.ndarray:
+    """K_c = area B'DB (k, 6, 6) kPa of linear triangles with gradients (k, 3, 2) 1/mm, area (k,) mm^2, D (k, 3, 3)."""
+    B = strain_operator(gradients)
+    return np.einsum("csa,cst,ctb->cab", B * area[:, None, None], D, B, optimize=True)
 
 
 def stress_matrices(strain: list[csr_array], D) -> list[csr_array]:
