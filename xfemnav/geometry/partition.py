@@ -4,6 +4,9 @@ A convex part is split by the supporting line of a segment; only the segment's o
 A polygon is a list of edges (x, y, tag, by): it runs from (x, y) to the next edge's start. `tag` is the line that the
 edge lies on: -1, -2, -3 the cell's edges opposite local node 0, 1, 2, and s >= 0 the line of segment s.
 `by` is the segment that cuts along the edge, or UNCUT.
+
+Segments that run on one line but for rounding would leave slivers that no predicate tells apart: inside a cell they
+are put on one line, whose tag they share.
 """
 
 import numpy as np
@@ -12,8 +15,11 @@ from xfemnav.geometry.mesh import orient
 from xfemnav.geometry.snapping import SNAP
 
 # Fractions of the local element size h.
-ON_LINE = 1e-9  # a vertex as near as this to a line is on it
-REACH = 1e-6  # a segment that covers less of a chord than this does not cut it
+ON_LINE = 1e-11  # a vertex as near as this to a line is on it
+REACH = 1e-8  # a segment that covers less of a chord than this does not cut it
+ONE_LINE = 4e-6  # two segments that stay as near as this to one line, inside a cell, are on it
+FLAT = 1e-13  # a triangle lower than this has no area but rounding
+HERE = 1e-5  # a corner as near as this to a node or tip is that node or tip
 
 UNCUT = -1
 
@@ -45,8 +51,8 @@ def split_cells(mesh, segments, tips):
         h = float(mesh.sizes[c])
         (x0, y0), (x1, y1), (x2, y2) = mesh.corners[c].tolist()
         cell = [[(x0, y0, -3, UNCUT), (x1, y1, -1, UNCUT), (x2, y2, -2, UNCUT)]]
-        for s in crossed:
-            cell = [half for polygon in cell for half in _split(polygon, s, segments.rows[s], h)]
+        for s, (row, line) in zip(crossed, _lines(crossed, segments, mesh.corners[c], tips, h)):
+            cell = [half for polygon in cell for half in _split(polygon, s, line, row, h)]
         cell = [_with_vertices(polygon, tips, h) for polygon in cell]
         if len(cell) > 1 or len(cell[0]) > 3 or any(edge[3] != UNCUT for edge in cell[0]):
             polygons[c] = cell
@@ -64,7 +70,35 @@ def touched_cells(mesh, a, d, length):
     )
 
 
-def _split(polygon, s, row, h):
+def _lines(crossed, segments, corners, tips, h):
+    """Row and line of each segment in a cell: its own, or what the cell holds of it on the line of a longer one."""
+    if len(crossed) == 1:
+        return [(segments.rows[crossed[0]], crossed[0])]
+    inside = {}
+    for s in crossed:
+        ax, ay, dx, dy, length = segments.rows[s]
+        along = [(x - ax) * dx + (y - ay) * dy for x, y in corners.tolist()]
+        low, high = max(min(along), 0.0), max(min(max(along), length), 0.0)
+        ends = [(ax + t * dx, ay + t * dy) for t in (low, high)]
+        # A tip stays where it is.
+        inside[s] = any(np.hypot(x - a, y - b) < HERE * h for x, y in tips for a, b in ends), high - low, ends
+    found, leaders = {}, []
+    for s in sorted(crossed, key=lambda s: inside[s][:2], reverse=True):
+        _, _, dx, dy, _ = segments.rows[s]
+        found[s] = segments.rows[s], s
+        for leader in leaders:
+            bx, by, ex, ey, _ = segments.rows[leader]
+            if all(abs((y - by) * ex - (x - bx) * ey) < ONE_LINE * h for x, y in inside[s][2]):
+                sign = 1.0 if dx * ex + dy * ey > 0 else -1.0
+                t = (inside[s][2][0][0] - bx) * ex + (inside[s][2][0][1] - by) * ey
+                found[s] = (bx + t * ex, by + t * ey, sign * ex, sign * ey, inside[s][1]), leader
+                break
+        else:
+            leaders.append(s)
+    return [found[s] for s in crossed]
+
+
+def _split(polygon, s, line, row, h):
     """The two halves of a convex polygon on either side of segment s, or the polygon itself."""
     ax, ay, dx, dy, length = row
     along = [(x - ax) * dx + (y - ay) * dy for x, y, _, _ in polygon]
@@ -83,8 +117,8 @@ def _split(polygon, s, row, h):
         o, o_next = off[k], off[(k + 1) % n]
         if o == 0:
             ends.append(along[k])
-            left.append((x, y, tag, by) if o_next > 0 else (x, y, s, UNCUT))
-            right.append((x, y, tag, by) if o_next < 0 else (x, y, s, UNCUT))
+            left.append((x, y, tag, by) if o_next > 0 else (x, y, line, UNCUT))
+            right.append((x, y, tag, by) if o_next < 0 else (x, y, line, UNCUT))
             continue
         (left if o > 0 else right).append((x, y, tag, by))
         if o * o_next < 0:
@@ -92,17 +126,17 @@ def _split(polygon, s, row, h):
             w = o / (o - o_next)
             xc, yc = x + w * (x1 - x), y + w * (y1 - y)
             ends.append(along[k] + w * (along[(k + 1) % n] - along[k]))
-            (left if o > 0 else right).append((xc, yc, s, UNCUT))
+            (left if o > 0 else right).append((xc, yc, line, UNCUT))
             (right if o > 0 else left).append((xc, yc, tag, by))
     t0, t1 = min(ends), max(ends)
     if min(t1, length) - max(t0, 0.0) <= REACH * h:
         return [polygon]
-    return [_flag_chord(half, s, row, h) for half in (left, right)]
+    return [_flag_chord(half, s, line, row, h) for half in (left, right)]
 
 
-def _flag_chord(half, s, row, h):
+def _flag_chord(half, s, line, row, h):
     along = [(x - row[0]) * row[2] + (y - row[1]) * row[3] for x, y, _, _ in half]
-    on_line = [k for k, edge in enumerate(half) if edge[2] == s and edge[3] == UNCUT]
+    on_line = [k for k, edge in enumerate(half) if edge[2] == line and edge[3] == UNCUT]
     off = [1.0] * len(half)
     for k in on_line:
         off[k] = off[(k + 1) % len(half)] = 0.0
@@ -158,13 +192,13 @@ def triangulate(xy, tips, h):
     fans = np.stack([np.broadcast_to(xy[:, None], (n, n - 2, 2)), xy[first], xy[(first + 1) % n]], axis=2)
     area = orient(fans[:, :, 0], fans[:, :, 1], fans[:, :, 2]) / 2
     longest = np.linalg.norm(fans - fans[:, :, [1, 2, 0]], axis=3).max(axis=2)
-    solid = area > ON_LINE * h * longest
+    solid = area > FLAT * h * longest
     score = np.where(solid, area / longest**2, np.inf).min(axis=1)
     # A flat triangle leaves a vertex out, unless its neighbour in the fan has it.
     none = np.zeros((n, 1), dtype=bool)
     seen = np.concatenate([solid, none], axis=1) | np.concatenate([none, solid], axis=1)
     score += 2.0 * seen.all(axis=1)
     if len(tips):
-        score += (np.linalg.norm(xy[:, None] - np.asarray(tips), axis=2) < REACH * h).any(axis=1)
+        score += (np.linalg.norm(xy[:, None] - np.asarray(tips), axis=2) < HERE * h).any(axis=1)
     best = int(np.argmax(np.where(solid.any(axis=1), score, -1.0)))
     return fans[best][solid[best]]

@@ -1,4 +1,8 @@
-"""Snap a network of cuts to a mesh, so that no part is thinner than rounding can tell."""
+"""Snap a network of cuts to a mesh and to itself, so that no part is thinner than rounding can tell.
+
+One line after the other: its vertices move onto near nodes, vertices and edges of the mesh and of the lines before it,
+and its segments bend through the nodes and vertices that they nearly touch. So lines that nearly coincide do coincide.
+"""
 
 from dataclasses import dataclass
 
@@ -33,6 +37,16 @@ class Net:
         """Element size mm at the point nearest to x (2,) mm."""
         return float(self.sizes[np.argmin(np.sum((self.points - x) ** 2, axis=1))])
 
+    def about(self, path) -> "Net":
+        """What lies near a path (k, 2): all within two of the largest elements of its bounding box."""
+        reach = 2 * self.sizes.max()
+        low, high = path.min(axis=0) - reach, path.max(axis=0) + reach
+        points = ((self.points >= low) & (self.points <= high)).all(axis=1)
+        segments = ((self.segments.max(axis=1) >= low) & (self.segments.min(axis=1) <= high)).all(axis=1)
+        if not points.any():
+            return self
+        return Net(self.points[points], self.sizes[points], self.segments[segments], self.segment_sizes[segments])
+
     def with_lines(self, paths) -> "Net":
         """The net with polylines that lie on it already, so that others can be snapped to them."""
         paths = [path for path in paths if len(path) > 1]
@@ -63,39 +77,40 @@ def snap_region(net: Net, region, outline) -> tuple[shapely.Geometry, tuple[np.n
     What is narrower than the snapping closes, so the region is snapped again until it stays as it is.
     """
     for _ in range(10):
-        rings = [_snapped(net, np.vstack([ring, ring[:1]])) for ring in rings_of(region)]
+        rings = _one_by_one(net, [np.vstack([ring, ring[:1]]) for ring in rings_of(region)])
         before, region = region, even_odd([ring[:-1] for ring in rings])
         if shapely.equals_exact(shapely.normalize(region), shapely.normalize(before)):
             break
     return region, inner_paths(rings_of(region), outline, SEVER * net.sizes.min())
 
 
-def snap(net: Net, paths, walls=()) -> list[np.ndarray]:
-    """Move the vertices of cuts onto near nodes and edges, and make near nodes vertices of the cut.
-
-    The `walls` of resections are snapped already: they count as edges, and their vertices as nodes.
-    """
-    target = net.with_lines(walls)
-    snapped = [_snapped(target, path) for path in paths]
-    # Ends of a branch are put on the cut that they touch.
+def snap(net: Net, paths, walls, outline) -> list[np.ndarray]:
+    """Cuts (k, 2) mm snapped to the mesh, to the walls of resections, which are snapped already, and to each other."""
+    snapped = _one_by_one(net.with_lines(walls), paths)
     for k, path in enumerate(snapped):
-        others = [other for other in snapped[:k] + snapped[k + 1 :] if len(other) > 1]
-        for end in (0, -1):
+        others = [line for line in (*snapped[:k], *snapped[k + 1 :], *walls) if len(line) > 1]
+        for end in (0, -1) if len(path) > 1 else ():
             h = net.size_at(path[end])
-            for other in others:
-                nearest = _nearest_on_path(other, path[end])
-                if np.linalg.norm(nearest - path[end]) < SNAP * h:
-                    path[end] = nearest
-            if len(path) > 1 and not any(_is_on(wall, path[end], h) for wall in walls):
-                _onto_near_lines([*snapped, *walls], path, end, h)
+            ends_there = outline.distance(shapely.Point(path[end])) <= SEVER * h
+            if not ends_there and not any(_is_on(other, path[end], h) for other in others):
+                _onto_near_lines([path, *others], path, end, h)
+    return snapped
+
+
+def _one_by_one(net, paths):
+    snapped = []
+    for path in paths:
+        snapped.append(_snapped(net.about(path), path))
+        net = net.with_lines(snapped[-1:])
     return snapped
 
 
 def _snapped(net, path):
-    path = _simplified(path, net)
-    path = np.array([_snap_vertex(x, net) for x in path])
-    path = path[np.concatenate([[True], (np.diff(path, axis=0) != 0).any(axis=1)])]
-    return _through_near_nodes(path, net) if len(path) > 1 else path
+    own = np.empty((0, 2))
+    for x in _simplified(path, net):
+        own = np.vstack([own, _snap_vertex(x, net, own)])
+    path = own[np.concatenate([[True], (np.diff(own, axis=0) != 0).any(axis=1)])]
+    return _through_near_nodes(path, net.with_lines([path])) if len(path) > 1 else path
 
 
 def _onto_near_lines(paths, path, end, h):
@@ -117,12 +132,16 @@ def _simplified(path, net):
     return shapely.get_coordinates(shapely.simplify(shapely.LineString(path), SNAP / 10 * h))
 
 
-def _snap_vertex(x, net):
+def _snap_vertex(x, net, own):
+    """The vertex x (2,), moved onto a near node, or else a vertex of its `own` path before it, or else an edge."""
     to_node = np.linalg.norm(net.points - x, axis=1)
     near = np.argmin(to_node / net.sizes)
     # Farther than a line is bent to a node, so that no node is left on the line just before a tip.
     if to_node[near] <= 2 * SNAP * net.sizes[near]:
         return net.points[near].copy()
+    to_own = np.linalg.norm(own - x, axis=1)
+    if to_own.min(initial=np.inf) <= 2 * SNAP * net.sizes[near]:
+        return own[np.argmin(to_own)]
     a, b = net.segments.swapaxes(0, 1)
     t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)
     foot = a + t[:, None] * (b - a)

@@ -15,7 +15,7 @@ import shapely
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array, orient
-from xfemnav.geometry.partition import REACH, UNCUT, Segments, split_cells, touched_cells, triangulate
+from xfemnav.geometry.partition import HERE, REACH, UNCUT, Segments, split_cells, touched_cells, triangulate
 from xfemnav.geometry.resection import Resection
 from xfemnav.geometry.snapping import SEVER, find_tips, mesh_net, snap, snap_region
 
@@ -113,8 +113,9 @@ def embed(mesh: Mesh, cuts: tuple[Cut, ...], resections: tuple[Resection, ...] =
     Raises XfemnavError E311 for a resection that is smaller than the snapping.
     """
     net = mesh_net(mesh)
-    region, walls = _snapped_region(mesh, net, resections)
-    paths = snap(net, [cut.path for cut in cuts], walls)
+    outline = shapely.multilinestrings(shapely.linestrings(mesh.points[mesh.boundary_edges]))
+    region, walls = _snapped_region(net, outline, resections)
+    paths = snap(net, [cut.path for cut in cuts], walls, outline)
     segments = Segments([*paths, *walls])
     ends = [tip for tip in find_tips(mesh, net, paths, walls) if not shapely.contains_xy(region, *tip[1][tip[2]])]
     polygons = split_cells(mesh, segments, [path[end] for _, path, end in ends])
@@ -122,11 +123,10 @@ def embed(mesh: Mesh, cuts: tuple[Cut, ...], resections: tuple[Resection, ...] =
                      region, resections)
 
 
-def _snapped_region(mesh, net, resections):
+def _snapped_region(net, outline, resections):
     """All that is taken out, as one snapped region, and its walls inside the organ."""
     if not resections:
         return shapely.MultiPolygon(), ()
-    outline = shapely.multilinestrings(shapely.linestrings(mesh.points[mesh.boundary_edges]))
     regions = [snap_region(net, resection.region, outline)[0] for resection in resections]
     for resection, region in zip(resections, regions):
         if region.is_empty:
@@ -165,15 +165,19 @@ def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections)
         for c in touched_cells(mesh, tip, np.array([1.0, 0.0]), 0.0):
             for p, polygon in zip(part_of.get(c, [c]), polygons.get(c, [mesh.corners[c]])):
                 xy = np.array([edge[:2] for edge in polygon])
-                if (np.hypot(*(xy - tip).T) < REACH * mesh.sizes[c]).any():
+                if (np.hypot(*(xy - tip).T) < HERE * mesh.sizes[c]).any():
                     touch.append((t, p))
     corners, part = np.concatenate(corners), np.concatenate(part)
     removed = _inside(region, corners, part, len(part_cell))
-    joins, join_middle = _joins(mesh, polygons, part_of)
+    joins, join_ends = _joins(mesh, polygons, part_of)
     joined = removed[joins[:, 0]] == removed[joins[:, 1]]
     faces = _lips(mesh, segments, polygons, part_of)
     gone = removed[np.array([row[3] for row in faces], dtype=int).reshape(-1, 2)]
     lips = [row for row, k in zip(faces, gone) if not k.any() and row[0] < len(paths)]
+    # A resection's line that merged with another leaves contacts between what stays and what goes: walls as well.
+    walls = [row for row, k in zip(faces, gone) if k.sum() == 1]
+    wall_ends = np.concatenate([np.array([row[2] for row in walls]).reshape(-1, 2, 2), join_ends[~joined]])
+    wall_parts = np.concatenate([np.array([row[3] for row in walls], dtype=int).reshape(-1, 2), joins[~joined, :2]])
     rim_part, rim_ends = _rim(mesh, polygons, part_of)
     on_rim = ~removed[rim_part]
     return Subcells(
@@ -181,7 +185,7 @@ def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections)
         part=part,
         part_cell=part_cell,
         joins=joins[joined],
-        join_middle=join_middle[joined],
+        join_middle=join_ends[joined].mean(axis=1),
         lip_cut=[row[0] for row in lips],
         lip_arc=np.array([row[1] for row in lips]).reshape(-1, 2),
         lip_ends=np.array([row[2] for row in lips]).reshape(-1, 2, 2),
@@ -195,7 +199,7 @@ def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections)
         tip_travel=np.array(travel).reshape(-1, 2),
         tip_touch=np.array(touch, dtype=int).reshape(-1, 2),
         removed=removed,
-        **_walls([row for row, k in zip(faces, gone) if k.sum() == 1], removed, resections),
+        **_walls(wall_ends, wall_parts, removed, resections),
         paths=tuple(paths),
     )
 
@@ -212,11 +216,9 @@ def _inside(region, corners, part, n_parts):
     return shapely.contains_xy(region, x, y)
 
 
-def _walls(faces, removed, resections):
-    """Facets with tissue on one side only, that side on their left, and the resection on the other."""
-    ends = np.array([row[2] for row in faces]).reshape(-1, 2, 2)
-    parts = np.array([row[3] for row in faces], dtype=int).reshape(-1, 2)
-    turned = removed[parts[:, 0]]
+def _walls(ends, parts, removed, resections):
+    """Facets (w, 2, 2) mm between parts on their left and right (w, 2), turned to have what stays on the left."""
+    ends, turned = ends.copy(), removed[parts[:, 0]]
     ends[turned] = ends[turned][:, ::-1]
     # Regions may have been united, and snapped since: the nearest one took what lay beyond the facet.
     middles = shapely.points(ends.mean(axis=1))
@@ -224,26 +226,29 @@ def _walls(faces, removed, resections):
     return {
         "wall_part": np.where(turned, parts[:, 1], parts[:, 0]),
         "wall_ends": ends,
-        "wall_resection": np.argmin(off, axis=0) if len(faces) else [],
+        "wall_resection": np.argmin(off, axis=0) if len(ends) else [],
     }
 
 
 def _joins(mesh, polygons, part_of):
-    """Contacts (j, 4): part, part, and the two nodes let through ((-1, -1) inside a cell: all); and their middles."""
+    """Contacts (j, 4): part, part, and the two nodes let through ((-1, -1) inside a cell: all).
+
+    And their ends (j, 2, 2) mm, the first part on their left.
+    """
     cell, local = np.nonzero(mesh.neighbours > np.arange(len(mesh.cells))[:, None])
     other = mesh.neighbours[cell, local]
     i, k = mesh.cells[cell, (local + 1) % 3], mesh.cells[cell, (local + 2) % 3]
     touched = np.zeros(len(mesh.cells), dtype=bool)
     touched[list(polygons)] = True
     plain = ~(touched[cell] | touched[other])
-    joins, middles = [], []
+    joins, ends = [], []
     for c, d, a, b in np.stack([cell, other, i, k], axis=1)[~plain].tolist():
         start, travel = mesh.points[a], mesh.points[b] - mesh.points[a]
         travel = travel / np.hypot(*travel)
         sides = [_facets_on_edge(mesh, polygons, part_of, e, a, b) for e in (c, d)]
-        for p, q, middle in _overlaps(*sides, SEVER * mesh.sizes[c]):
+        for p, q, low, high in _overlaps(*sides, SEVER * mesh.sizes[c]):
             joins.append((p, q, a, b))
-            middles.append(start + middle * travel)
+            ends.append((start + low * travel, start + high * travel))
     for c, cell_polygons in polygons.items():
         lines = {}
         for p, polygon in zip(part_of[c], cell_polygons):
@@ -259,14 +264,13 @@ def _joins(mesh, polygons, part_of):
             for p, xa, ya, xb, yb in facets:
                 ta, tb = (xa - x) * dx + (ya - y) * dy, (xb - x) * dx + (yb - y) * dy
                 sides[int(tb < ta)].append((min(ta, tb), max(ta, tb), p))
-            for p, q, middle in _overlaps(*sides, SEVER * mesh.sizes[c]):
+            for p, q, low, high in _overlaps(*sides, SEVER * mesh.sizes[c]):
                 joins.append((p, q, -1, -1))
-                middles.append((x + middle * dx, y + middle * dy))
+                ends.append([(x + t * dx, y + t * dy) for t in (low, high)])
     whole = np.stack([cell, other, i, k], axis=1)[plain]
-    whole_middles = (mesh.points[i[plain]] + mesh.points[k[plain]]) / 2
     return (
         np.concatenate([whole, np.array(joins, dtype=int).reshape(-1, 4)]),
-        np.concatenate([whole_middles, np.array(middles).reshape(-1, 2)]),
+        np.concatenate([mesh.points[whole[:, 2:]], np.array(ends).reshape(-1, 2, 2)]),
     )
 
 
@@ -290,14 +294,14 @@ def _facets_on_edge(mesh, polygons, part_of, c, a, b):
 
 
 def _overlaps(one, two, least):
-    """Pairs of parts whose intervals overlap by more than `least`, and the middle of the overlap."""
+    """Pairs of parts whose intervals overlap by more than `least`, and that overlap."""
     found = {}
     for a0, a1, p in one:
         for b0, b1, q in two:
             low, high = max(a0, b0), min(a1, b1)
             if high - low > least:
-                found.setdefault((p, q), (low + high) / 2)
-    return [(p, q, middle) for (p, q), middle in sorted(found.items())]
+                found.setdefault((p, q), (low, high))
+    return [(*pair, *overlap) for pair, overlap in sorted(found.items())]
 
 
 def _lips(mesh, segments, polygons, part_of):

@@ -51,6 +51,8 @@ def unwrap(subcells: Subcells, near, middle, tip: int, inside) -> np.ndarray:
     index[some] = np.arange(len(some))
     walkable = near[some][:, some]
     order, before = breadth_first_order(walkable, index[start[0]], directed=False)
+    if len(order) == 1:
+        return angle
     contact = np.asarray(walkable[order[1:], before[order[1:]]]).ravel() - 1
     for k, join in zip(order[1:], contact):
         p, q = some[k], some[before[k]]

@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from xfemnav.geometry.mesh import Mesh, frozen_array
-from xfemnav.geometry.partition import REACH
+from xfemnav.geometry.partition import HERE
 from xfemnav.geometry.subcells import Subcells
 from xfemnav.mechanics.angles import adjacency, centroids, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_functions, polar
@@ -182,7 +182,7 @@ def _held(mesh, subcells, cells):
     """Flat indices (part, local) of the parts that have the node itself as a corner."""
     corner = subcells.corners.reshape(-1, 2)
     part = np.repeat(subcells.part, 3)
-    tolerance = REACH * mesh.sizes[subcells.part_cell[part]]
+    tolerance = HERE * mesh.sizes[subcells.part_cell[part]]
     found = [3 * part[np.hypot(*(corner - mesh.points[cells[part, a]]).T) <= tolerance] + a for a in range(3)]
     return np.unique(np.concatenate(found))
 
@@ -236,7 +236,7 @@ def _behind(mesh, subcells, tip):
     other = subcells.paths[subcells.tip_cut[tip]][-1 - subcells.tip_end[tip]]
     rim = subcells.rim_ends.reshape(-1, 2)
     h = mesh.sizes[subcells.part_cell[touched_parts(subcells, tip)]].max()
-    if np.linalg.norm(rim - other, axis=1).min() < REACH * h:
+    if np.linalg.norm(rim - other, axis=1).min() < HERE * h:
         return np.inf
     return np.linalg.norm(other - subcells.tips[tip]) - 1.5 * h
 
@@ -257,7 +257,7 @@ def _shift(mesh, subcells, middle, angle, tip, node, parts):
 def _nodes_about(mesh, cells, x):
     """Nodes whose open support holds the point x, which lies in the closed `cells`."""
     nodes, count = np.unique(mesh.cells[np.unique(cells)], return_counts=True)
-    on_node = np.hypot(*(mesh.points[nodes] - x).T) <= REACH * mesh.sizes[cells].min()
+    on_node = np.hypot(*(mesh.points[nodes] - x).T) <= HERE * mesh.sizes[cells].min()
     if on_node.any():
         return nodes[on_node].tolist()
     return nodes[count == len(np.unique(cells))].tolist()
