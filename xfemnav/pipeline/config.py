@@ -176,17 +176,18 @@ def _carried(s: "Scenario", files: dict[str, Path]):
     """What goes with the image, and its file; a stem that comes twice gets a number."""
     from xfemnav.pipeline.runfile import stem
 
-    listed = [("companion", item.kind, f"companion.{i}.image") for i, item in enumerate(s.companion)]
+    listed = [("companion", item.kind, item.axes, f"companion.{i}.image") for i, item in enumerate(s.companion)]
     for role in ("points", "streamlines"):
-        listed += [(role, role, f"{role}.{i}") for i in range(len(getattr(s, role)))]
+        listed += [(role, role, "world", f"{role}.{i}") for i in range(len(getattr(s, role)))]
     taken = {("companion", stem(files["image"]))}  # the updated image has that name
-    for role, kind, place in listed:
+    for role, kind, axes, place in listed:
         name = base = stem(files[place])
         number = 2
         while (role, name) in taken:
             name, number = f"{base}-{number}", number + 1
         taken.add((role, name))
-        yield CompanionParams(f"{role}:{name}", name, kind), files[place]
+        alone = role != "companion" and place.endswith(".0")
+        yield CompanionParams(role if alone else f"{role}:{name}", name, kind, axes), files[place]
 
 
 def _filled(r, s: "Scenario"):

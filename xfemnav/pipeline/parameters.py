@@ -182,6 +182,7 @@ class CompanionParams:
     role: str
     stem: str
     kind: str
+    axes: str
 
 
 @dataclass(frozen=True)

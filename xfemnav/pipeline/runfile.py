@@ -35,7 +35,7 @@ NAMES = {
     "lips": ("lips", "dseg", ".nii.gz"),
     "transform": ("updated", "xfm", ".h5"),
     "transform-extended": ("extended", "xfm", ".h5"),
-    "field-nrrd": ("field", "xfm", ".nrrd"),
+    "field-nrrd": ("fieldnrrd", "xfm", ".nrrd"),
     "field-nifti": ("fielditk", "xfm", ".nii.gz"),
     "forward-nrrd": ("forward", "xfm", ".nrrd"),
     "cuts": ("cuts", "markups", ".mrk.json"),
@@ -82,7 +82,7 @@ def public_name(image: Path, role: str, source: str = "") -> str:
     of their `source`.
     """
     what, _, which = role.partition(":")
-    carried = what.partition("-")[0] in CARRIED
+    carried = which and what.partition("-")[0] in CARRIED
     step = f"step-{slug(which)}" if which and not carried else None
     if what in PAGES:
         name, ending = PAGES[what]

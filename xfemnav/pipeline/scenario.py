@@ -136,6 +136,8 @@ class CompanionSection(Section):
     image: Path_ = Field(description="any format and grid; vectors and tensors with all their components")
     kind: Literal["continuous", "label", "vector", "tensor"] = Field(
         "continuous", description="labels are taken from the nearest voxel, vectors and tensors turn with the tissue")
+    axes: Literal["world", "image"] = Field(
+        "world", description="of vectors and tensors: world (ITK, ANTs, MRtrix), or the image's own (FSL's dtifit)")
 
 
 class SegmentSection(Section):

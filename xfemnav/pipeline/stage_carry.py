@@ -7,7 +7,7 @@ def compute(params, inputs):
 
 def facts(value, inputs):
     """What run.json says of the stage: for each file of landmarks, what became of its points."""
-    tables = [_moved(item, inputs)[2] for item in inputs.config.carry.companions if item.kind == "points"]
+    tables = [_moved(item, inputs)[1] for item in inputs.config.carry.companions if item.kind == "points"]
     return {"points": tables} if tables else {}
 
 
@@ -30,7 +30,7 @@ def _write_companion(item, inputs, folder, name):
 
     params, (slice, _) = inputs.config.carry, inputs.value("segment")
     image = carry(inputs.image(item.role), slice, inputs.value("warp"), kind=item.kind, interp=params.interp,
-                  outside=params.outside)
+                  outside=params.outside, axes=item.axes)
     write_nifti(folder / f"{name}.nii.gz", image)
 
 
@@ -38,7 +38,7 @@ def _write_points(item, inputs, folder, name):
     from xfemnav.imaging.markups import write_markups
     from xfemnav.imaging.point_files import write_points
 
-    _, moved, _ = _moved(item, inputs)
+    moved, _ = _moved(item, inputs)
     ending = inputs.files[item.role].suffix.lower()
     write_points(folder / f"{name}{'.mrk' if ending == '.json' else ''}{ending}", moved)
     if ending != ".json":
@@ -51,15 +51,12 @@ def _moved(item, inputs):
 
     import numpy as np
 
-    from xfemnav.geometry.affine_map import PiecewiseAffineMap
     from xfemnav.imaging.landmarks import ON_A_CUT, OUTSIDE, moved_points
     from xfemnav.imaging.point_files import read_points
 
     slice, _ = inputs.value("segment")
-    solution, problem = inputs.value("solve"), inputs.value("constrain")
     found = read_points(inputs.files[item.role])
-    motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
-    moved = moved_points(found.points, slice, motion, inputs.value("mesh").corners)
+    moved = moved_points(found.points, slice, _motion(inputs), inputs.value("mesh").corners)
     rows, labels, kept = [], [], []
     for k, (flag, label) in enumerate(zip(moved.flag, found.labels)):
         if flag == ON_A_CUT:
@@ -75,8 +72,21 @@ def _moved(item, inputs):
     table = {"file": inputs.files[item.role].name, "n": len(found.points)}
     table |= {flag.replace(" ", "_"): moved.flag.count(flag) for flag in ("tissue", "on a cut", "resected", "outside")}
     now = replace(found, points=np.array(rows).reshape(-1, 3), labels=tuple(labels), columns=columns)
-    return found, now, table
+    return now, table
 
 
 def _write_streamlines(item, inputs, folder, name):
-    raise NotImplementedError
+    from xfemnav.imaging.streamlines import move_streamlines
+    from xfemnav.imaging.tract_files import read_streamlines
+
+    slice, _ = inputs.value("segment")
+    path = inputs.files[item.role]
+    moved = move_streamlines(read_streamlines(path), slice, _motion(inputs), inputs.value("mesh").corners)
+    moved.file.save(str(folder / f"{name}{path.suffix.lower()}"))
+
+
+def _motion(inputs):
+    from xfemnav.geometry.affine_map import PiecewiseAffineMap
+
+    solution, problem = inputs.value("solve"), inputs.value("constrain")
+    return PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
