@@ -90,6 +90,7 @@ def hung(space: Space, constraints: Constraints, springs, weak) -> csr_array | N
     row_body = np.full(table.n_rows, -1)
     row_body[table.dof] = table.body[:, None]
     touching = np.unique(row_body[np.flatnonzero(weak.diagonal()) // 2])
+    touching = touching[touching >= 0]  # branch functions belong to no body alone
     loose = [body for body in touching if free_motions(space, constraints, springs, body).shape[1]]
     if not loose:
         return None
