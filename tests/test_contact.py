@@ -7,7 +7,9 @@ from numpy.testing import assert_allclose
 from benchmarks.verification.contact import closed_crack, pressed
 from benchmarks.verification.fields import inclined_crack
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
+from tests import cuts as networks
 from tests.meshes import BRAIN, FREE, HARD_SKULL, cut_in, disc, grid, jittered, mapped, measured_outline, outline
+from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.resection import place_resection
 from xfemnav.imaging.warp import pull_back
@@ -255,3 +257,60 @@ def test_contact_needs_no_conditions_without_lips():
 def test_an_unknown_word_is_refused():
     with pytest.raises(ValueError, match="magic"):
         pose(MESH, (CUT,), BRAIN, Skull(), lips="magic")
+
+
+# The battery: every awkward cut, pressed in four ways -----------------------------------------------------------------
+
+MESHES = [jittered(12.0, 10.0, 1.0, j, seed=int(100 * j)) for j in (0.0, 0.25, 0.35)] + [grid(10, 10.0)]
+SKULL = Skull("fixed", 2.0, 1.0)
+#: A cut may be refused as it frees a piece, is too short to hold, or where lips are held against what is measured.
+LISTED = {"E301", "E302", "E305", "E306", "E402", "E403"}
+
+
+def pressings(mesh, k):
+    """What presses the lips of the first cut, or all tissue, together: (retractions, skull, further arguments)."""
+    rng, loop = np.random.default_rng(k), outline(mesh)
+    squeezed = -0.03 * (loop - 5) + 0.02 * rng.normal(size=(1, 2)) * (loop[:, ::-1] - 5)
+    forces = tuple(Retraction(0, s, force_mN_per_mm=(0, -s), blade=(0, 0.4)) for s in (1, -1))
+    return {
+        "forces": (forces, SKULL, {}),
+        "held": ((Retraction(0, 1, normal_mm=-0.3, blade=(0, 0.5)),), SKULL, {}),
+        "squeezed": ((), SKULL, {"boundary_displacement": np.column_stack([loop, squeezed])}),
+        "weight": ((), Skull("contact", 2.0, 1.0, 0.05 * (k % 3)),
+                   {"gravity": Gravity(tuple(rng.normal(size=2)), density=5_000.0)}),
+    }
+
+
+def survives(name, k):
+    """Every pressing of one network keeps Signorini's laws, or has a listed code; how many pressed."""
+    mesh, count = MESHES[k % len(MESHES)], 0
+    network = networks.POSITIONS[name](mesh, np.random.default_rng([k, sorted(networks.POSITIONS).index(name)]))
+    enrichment = ("topological", "none", "geometric")[k % 3]
+    try:
+        cuts = tuple(cut_in(mesh, *path, internal=internal) for path, internal in network)
+    except XfemnavError as error:
+        assert error.code in LISTED
+        return 0
+    for retractions, skull, kind in pressings(mesh, k).values():
+        try:
+            problem = pose(mesh, cuts, BRAIN, skull, retractions, tip_enrichment=enrichment, **kind)
+            solution = solve(problem)
+        except XfemnavError as error:
+            assert error.code in LISTED, f"{name} {k}: {error}"
+            continue
+        laws(problem, solution)
+        count += bool((solution.contact_force > 0).any())
+    return count
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", networks.POSITIONS)
+def test_awkward_cuts_keep_the_laws(name):
+    survives(name, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", networks.POSITIONS)
+def test_many_awkward_cuts_keep_the_laws(name):
+    assert sum(survives(name, k) for k in range(3, 27)) > 24
