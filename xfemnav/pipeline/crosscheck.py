@@ -7,6 +7,7 @@ import difflib
 from itertools import chain
 
 from xfemnav.pipeline.flags import tables
+from xfemnav.pipeline.runfile import slug
 
 GRAVITY, OUTLINE = "gravity", "outline"
 
@@ -39,7 +40,9 @@ def _repeated(raw):
     kinds = {"cut": "cuts", "resect": "resections", "pressure": "pressures"}
     words = [f"{kind}.{i}.name: two {kinds[kind]} are called '{name}'" for kind in kinds
              for i, name in enumerate(found[kind]) if name in found[kind][:i]]
-    words += [f"step.{i}.name: two steps are called '{name}'" for i, name in enumerate(steps) if name in steps[:i]]
+    files = list(map(slug, steps))
+    words += [f"step.{i}.name: two steps are called '{name}', or alike but for signs" for i, name in enumerate(steps)
+              if files[i] in files[:i]]
     if steps:  # only steps call things of different kinds by one kind of name
         every = [(kind, name) for kind, names in found.items() for name in names]
         words += [f"{kind}: the name '{name}' is taken by another section; steps could not tell them apart"
