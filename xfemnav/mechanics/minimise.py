@@ -90,7 +90,7 @@ def minimise(K, load, U0, T, contacts: Contacts | None = None) -> Minimum:
     if contacts is not None:
         G, gap, force = csr_array(contacts.G @ T), contacts.gap + contacts.G @ U0, np.zeros(len(contacts.gap))
         live = _unsettled(contacts, G, gap, T)
-        q, force[live] = _pressed(lu, A, b, q, G[live], gap[live])
+        q, force[live] = pressed(lu, A, b, q, G[live], gap[live])
         b = b + G.T @ force
     size = np.linalg.norm(b) + np.linalg.norm(T.T @ load)
     residual = float(np.linalg.norm(b - A @ q) / size) if size else 0.0
@@ -125,7 +125,7 @@ def _unsettled(contacts, G, gap, T):
     return np.flatnonzero(~settled)
 
 
-def _pressed(lu, A, b, q, G, gap):
+def pressed(lu, A, b, q, G, gap):
     """q and forces (g,) >= 0 with A q = b + G' force and G q + gap >= 0, each force zero where its gap is open."""
     force = np.zeros(len(gap))
     opening = gap + G @ q
