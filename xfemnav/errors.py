@@ -136,7 +136,7 @@ FAULTS: dict[str, Fault] = {
                   "Check the arc's points, their frame and order: arcs run counter-clockwise."),
     "E410": Fault(65, "no equilibrium found at this load",
                   "The neo-Hookean tissue was squeezed flat or buckled before all of the load was on it.",
-                  "Ask for no more than the part of the load that the message names, or use smaller elements."),
+                  "Ask for no more than the part of the load that the message names; leave out tip functions and fine grading."),
     "E411": Fault(78, "lips by Nitsche's condition are linear", "Its tractions are those of linear elasticity.",
                   "Use `--lip-constraint mortar` with the neo-Hookean model."),
     # 5xx: writing
