@@ -211,6 +211,13 @@ def test_beside_removed_tissue_there_is_no_lip_to_touch():
     assert len(problem.contacts.gap) and not beside.any()
 
 
+@pytest.mark.filterwarnings("ignore:W311")
+def test_what_is_removed_presses_on_nothing():
+    """A crumb that a cut across a corner frees stays where it is, in no result: it is no wall."""
+    problem = pose(grid(10, 10.0), (Cut([(0.0, 9.55), (0.45, 10.0)]),), BRAIN, Skull("fixed", 3.0, 0.0))
+    assert problem.removed.any() and problem.contacts is None
+
+
 def test_mean_gaps_are_exact_for_rigid_halves():
     """Halves of a block moved apart: every mean gap is that of the middle of its hat's weight."""
     cut = cut_in(BLOCK, (-1, 3.713), (11, 6.291))

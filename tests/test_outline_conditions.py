@@ -288,6 +288,14 @@ def test_what_else_holds_the_tissue_needs_no_weak_springs():
     assert pose(BALL, (), BRAIN, Skull("contact")).hung is not None
 
 
+def test_each_place_of_the_outline_touches_once():
+    """Also about a tip under the outline, whose functions reach it: the conditions' lengths add up to the outline's."""
+    cut = cut_in(BOX, (20.3, 12.0), (20.3, 0.7), internal=True)
+    found = module.skull_conditions(space_of(BOX, cut), Skull("contact"), np.empty((0, 2)), BRAIN)
+    assert_allclose(found.contacts.lengths.sum(), 140.0)
+    assert (found.contacts.lengths > 0.1).all()
+
+
 # Arcs -----------------------------------------------------------------------------------------------------------------
 
 def test_arcs_run_counter_clockwise_and_later_ones_win():
@@ -391,6 +399,17 @@ def test_weighted_lips_at_a_mouth_have_their_own_values():
     solution = solve(pose(BOX, (cut,), BRAIN, Skull(), boundary_displacement=measured, boundary_weight=5.0))
     left = solution.rest.mean(axis=1)[:, 0] < 20.3
     assert_allclose((solution.moved - solution.rest)[left], np.broadcast_to([-0.4, 0.1], (left.sum(), 3, 2)), atol=1e-6)
+
+
+def test_where_nothing_was_measured_no_spring_pulls():
+    """The lower part alone, moved rigidly, and all else free: all of it follows."""
+    loop = outline(MESH)
+    low = loop[loop[:, 1] < -20]
+    measured = measured_on(low, np.tile([0.4, 0.7], (len(low), 1)))
+    problem = pose(MESH, (), BRAIN, Skull("free"), boundary_displacement=measured, boundary_weight=2.0)
+    assert not problem.springs.diagonal()[2 * np.flatnonzero(MESH.points[:, 1] > 0)].any()
+    U = solve(problem).U
+    assert_allclose(U, np.tile([0.4, 0.7], (len(U), 1)), atol=1e-9)
 
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.inf, np.nan])
