@@ -52,6 +52,7 @@ def read_header(head: bytes, name: str) -> Header:
     return Header(_shape(raw, name), _dtype(raw, name), _offset(raw, name), slope, inter, int(raw["intent_code"]))
 
 
+@np.errstate(all="ignore")  # what overflows is refused by its result
 def read_frame(head: bytes, name: str) -> tuple[np.ndarray, int]:
     """Affine (4, 4) voxel -> RAS mm, and its code (0: the file states no position).
 

@@ -24,6 +24,7 @@ from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging import content, dicom, formats, metaimage, mgh, nifti, nrrd, series
 
 FORMATS = (nifti, nrrd, metaimage, mgh)  # what a format gives: `formats`
+LARGEST = float(np.finfo(np.float32).max)  # results are float32: what is larger would be infinite there
 HEAD = 1 << 18  # bytes that tell the format and hold its header, however many keys a NRRD has
 
 
@@ -262,6 +263,7 @@ def _one_volume(voxels: np.ndarray, volume, name: str) -> np.ndarray:
     return volumes[..., volume or 0]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what overflows is refused by its result
 def _scaled(voxels: np.ndarray, stored: _Stored) -> np.ndarray:
     """value = slope * voxel + inter in float64 (NIfTI: slope 0 means unscaled)."""
     header, name = stored.header, stored.name
@@ -275,14 +277,14 @@ def _scaled(voxels: np.ndarray, stored: _Stored) -> np.ndarray:
 
 
 def _finite(values: np.ndarray, nan, name: str) -> np.ndarray:
-    """`values` with NaN and infinities replaced by `nan`; E103 when there are some and `nan` is None."""
-    bad = ~np.isfinite(values)
+    """`values` with NaN and what is infinite in float32 replaced by `nan`; E103 where there is some without `nan`."""
+    bad = ~((values >= -LARGEST) & (values <= LARGEST))
     if not bad.any():
         return values
     if nan is None:
         first = tuple(int(i) for i in np.unravel_index(np.argmax(bad), bad.shape))
-        raise XfemnavError("E103", f"{name} has {int(bad.sum())} NaN or infinite voxels, the first at index {first}. "
-                                   "Give the value to put there: --nan 0.")
+        raise XfemnavError("E103", f"{name} has {int(bad.sum())} NaN or infinite voxels, the first at index {first} "
+                                   f"(over {LARGEST:.1e} counts as infinite). Give the value to put there: --nan 0.")
     return np.where(bad, float(nan), values)
 
 
