@@ -7,7 +7,10 @@ def compute(params, inputs):
 
 def facts(value, inputs):
     """What run.json says of the stage: for each file of landmarks, what became of its points."""
-    tables = [_moved(item, inputs)[1] for item in inputs.config.carry.companions if item.kind == "points"]
+    landmarks = [item for item in inputs.config.carry.companions if item.kind == "points"]
+    for item in landmarks:
+        _warn_of_frame(item, inputs)
+    tables = [_moved(item, inputs)[1] for item in landmarks]
     return {"points": tables} if tables else {}
 
 
@@ -39,27 +42,46 @@ def _write_points(item, inputs, folder, name):
     from xfemnav.imaging.point_files import write_points
 
     moved, _ = _moved(item, inputs)
-    ending = inputs.files[item.role].suffix.lower()
-    write_points(folder / f"{name}{'.mrk' if ending == '.json' else ''}{ending}", moved)
-    if ending != ".json":
+    ending = point_ending(inputs.files[item.role])
+    write_points(folder / f"{name}{ending}", moved)
+    if ending != ".mrk.json":
         write_markups(folder / f"{name}-markups.mrk.json", [moved])
+
+
+def point_ending(path):
+    """The ending of the file that landmarks of `path` are written to: its own, .mrk.json for all markups."""
+    ending = path.suffix.lower()
+    return ".mrk.json" if ending == ".json" else ending
 
 
 def _moved(item, inputs):
     """The landmarks of a file, those that have a place now, and what became of them."""
-    from dataclasses import replace
-
-    import numpy as np
-
-    from xfemnav.imaging.landmarks import ON_A_CUT, OUTSIDE, moved_points
+    from xfemnav.imaging.landmarks import moved_points
     from xfemnav.imaging.point_files import read_points
 
     slice, _ = inputs.value("segment")
     found = read_points(inputs.files[item.role])
     moved = moved_points(found.points, slice, _motion(inputs), inputs.value("mesh").corners)
+    table = {"file": inputs.files[item.role].name, "n": len(found.points)}
+    table |= {flag.replace(" ", "_"): moved.flag.count(flag) for flag in ("tissue", "on a cut", "resected", "outside")}
+    return placed(found, moved), table
+
+
+def placed(found, moved, one_lip=False):
+    """The PointSet `found` where its points have `moved` (MovedPoints) to; those that have no place are left out.
+
+    Points on a cut come twice, once a lip and labelled so, or with `one_lip` where `moved` has them. Those outside the
+    organ stay.
+    """
+    from dataclasses import replace
+
+    import numpy as np
+
+    from xfemnav.imaging.landmarks import ON_A_CUT, OUTSIDE
+
     rows, labels, kept = [], [], []
     for k, (flag, label) in enumerate(zip(moved.flag, found.labels)):
-        if flag == ON_A_CUT:
+        if flag == ON_A_CUT and not one_lip:
             places = [(moved.lips[k, i], f"{label} {lip} lip".strip()) for i, lip in ((0, "left"), (1, "right"))]
         else:
             places = [(found.points[k] if flag == OUTSIDE else moved.moved[k], label)]
@@ -69,10 +91,27 @@ def _moved(item, inputs):
                 labels.append(word)
                 kept.append(k)
     columns = {key: tuple(values[k] for k in kept) for key, values in found.columns.items()}
-    table = {"file": inputs.files[item.role].name, "n": len(found.points)}
-    table |= {flag.replace(" ", "_"): moved.flag.count(flag) for flag in ("tissue", "on a cut", "resected", "outside")}
-    now = replace(found, points=np.array(rows).reshape(-1, 3), labels=tuple(labels), columns=columns)
-    return now, table
+    return replace(found, points=np.array(rows).reshape(-1, 3), labels=tuple(labels), columns=columns)
+
+
+def _warn_of_frame(item, inputs):
+    """W131 where a file of landmarks seems to count in another frame, W132 where landmarks lie off the slice."""
+    import numpy as np
+    import shapely
+
+    from xfemnav.errors import warn
+    from xfemnav.imaging.point_files import frame_suspicion, read_points
+
+    (slice, _), mesh, path = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role]
+    points, organ = read_points(path).points, shapely.Polygon(mesh.points[mesh.boundary_loops[0]])
+    suspicion = frame_suspicion(points, lambda world: shapely.contains_xy(organ, slice.from_world(world)[0]))
+    if suspicion:
+        warn("W131", f"{path.name}: {suspicion} Check the frame that the file states.")
+    distance = np.abs(slice.from_world(points)[1])
+    off = distance > slice.thickness / 2 * (1 + 1e-6)
+    if off.any():
+        warn("W132", f"{off.sum()} of {len(points)} points of {path.name} lie off the slice, up to {distance.max():.2f} "
+                     f"mm where half its thickness is {slice.thickness / 2:.2f} mm. They were moved as its tissue.")
 
 
 def _write_streamlines(item, inputs, folder, name):
