@@ -110,8 +110,9 @@ def _warn_of_frame(item, inputs):
     distance = np.abs(slice.from_world(points)[1])
     off = distance > slice.thickness / 2 * (1 + 1e-6)
     if off.any():
-        warn("W132", f"{off.sum()} of {len(points)} points of {path.name} lie off the slice, up to {distance.max():.2f} "
-                     f"mm where half its thickness is {slice.thickness / 2:.2f} mm. They were moved as its tissue.")
+        warn("W132", f"{off.sum()} of {len(points)} points of {path.name} lie off the slice, up to "
+                     f"{distance.max():.2f} mm where half its thickness is {slice.thickness / 2:.2f} mm. They were "
+                     "moved as its tissue.")
 
 
 def _write_streamlines(item, inputs, folder, name):
