@@ -209,6 +209,10 @@ def test_shares_mix_the_constants_of_lame_and_so_the_stiffness():
         soft.stiffness, hard.stiffness, 0.25 * soft.stiffness + 0.75 * hard.stiffness], rtol=1e-13)
 
 
+def test_no_cells_have_no_stiffness():
+    assert Tissue([3.0], [0.45]).stiffness_in(np.empty(0, int)).shape == (0, 3, 3)
+
+
 def test_tissue_out_of_range_is_refused():
     with pytest.raises(XfemnavError) as caught:
         Tissue([3.0, -1.0], [0.45, 0.45])

@@ -99,7 +99,8 @@ class Tissue:
         different, which = np.unique(
             np.stack([self.young_kpa[cells], self.poisson[cells]], axis=1), axis=0, return_inverse=True
         )
-        return np.array([Material(E, nu, self.stress_state).stiffness for E, nu in different.tolist()])[which.ravel()]
+        D = np.array([Material(E, nu, self.stress_state).stiffness for E, nu in different.tolist()])
+        return D.reshape(-1, 3, 3)[which.ravel()]
 
 
 def lame(young, poisson) -> tuple[np.ndarray, np.ndarray]:
