@@ -7,10 +7,11 @@ __version__ = "0.1.0"
 _HOMES = {
     "run": "xfemnav.pipeline.result",
     "Result": "xfemnav.pipeline.result",
+    "Session": "xfemnav.pipeline.session",
     "XfemnavError": "xfemnav.errors",
     "XfemnavWarning": "xfemnav.errors",
 }
-__all__ = ["Result", "XfemnavError", "XfemnavWarning", "__version__", "run"]
+__all__ = ["Result", "Session", "XfemnavError", "XfemnavWarning", "__version__", "run"]
 
 
 def __getattr__(name: str):

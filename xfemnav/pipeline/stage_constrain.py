@@ -23,7 +23,7 @@ def compute(params, inputs):
     arcs = tuple(Arc(*_plane(slice, (arc.start, arc.end), params.space), arc.skull, arc.skull_gap_mm)
                  for arc in params.arcs)
     return pose(
-        mesh, cuts, _tissue(params, mesh, inputs),
+        mesh, cuts, tissue(params, mesh, inputs),
         Skull(params.skull, params.craniotomy_mm, params.skull_ramp_mm, params.skull_gap_mm, arcs), blades,
         resections=tuple(_resection(item, outline, inputs) for item in params.resections),
         loose=params.loose_pieces, lips=params.lips, boundary_displacement=_measured(slice, params),
@@ -81,7 +81,7 @@ def _resection(item, outline, inputs):
     return place_resection(rings, outline, item.name)
 
 
-def _tissue(params, mesh, inputs):
+def tissue(params, mesh, inputs):
     """One material, or a mixture in each cell where a label map tells tissues apart."""
     import numpy as np
 

@@ -1,0 +1,65 @@
+"""The part of a mesh about a path, as a mesh of its own: what a cut there can change."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from xfemnav.geometry.locate import LIP
+from xfemnav.geometry.mesh import Mesh
+
+#: Cells within this part of their size of the path may be touched: a cut is snapped by thousandths of it.
+SLACK = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A `mesh` that has the cells (m,) and nodes (n,) of a larger one, in the same order.
+
+    border (n,) bool: nodes of which the larger mesh has more cells.
+    """
+
+    mesh: Mesh
+    cells: np.ndarray
+    nodes: np.ndarray
+    border: np.ndarray
+
+
+def window(mesh: Mesh, path, radius: float = 0.0, also=()) -> Window:
+    """The cells that the `path` (k, 2) mm touches, or that are within `radius` mm of its ends, with all that share a
+    node with them; and the cells `also` named. A node whose support the path crosses is not on the border."""
+    near = np.zeros(len(mesh.points), dtype=bool)
+    near[mesh.cells[near_cells(mesh, path, radius)]] = True
+    chosen = near[mesh.cells].any(axis=1)
+    chosen[np.asarray(also, int)] = True
+    cells = np.flatnonzero(chosen)
+    inside = np.zeros(len(mesh.points), dtype=bool)
+    inside[mesh.cells[cells]] = True
+    outside = np.zeros(len(mesh.points), dtype=bool)
+    outside[mesh.cells[~chosen]] = True
+    nodes = np.flatnonzero(inside)
+    number = np.empty(len(inside), dtype=int)
+    number[nodes] = np.arange(len(nodes))
+    return Window(Mesh(mesh.points[nodes], number[mesh.cells[cells]]), cells, nodes, outside[nodes])
+
+
+def near_cells(mesh: Mesh, path, radius: float = 0.0) -> np.ndarray:
+    """Cells (k,) within a twentieth of their size, or LIP, of the path (n, 2) mm, or within `radius` mm of an end."""
+    path = np.asarray(path, float)
+    slack = np.maximum(SLACK * mesh.sizes, LIP)
+    low, high = mesh.corners.min(axis=1) - slack[:, None], mesh.corners.max(axis=1) + slack[:, None]
+    boxed = np.flatnonzero(((low <= path.max(axis=0)) & (high >= path.min(axis=0))).all(axis=1))
+    corners, slack = mesh.corners[boxed], slack[boxed]
+    near = np.zeros(len(boxed), dtype=bool)
+    for a, b in zip(path[:-1], path[1:]):
+        length = np.hypot(*(b - a))
+        travel = (b - a) / length
+        along = (corners - a) @ travel
+        off = (corners - a) @ np.array([-travel[1], travel[0]])
+        near |= (
+            (along.max(axis=1) >= -slack) & (along.min(axis=1) <= length + slack)
+            & (off.max(axis=1) >= -slack) & (off.min(axis=1) <= slack)
+        )
+    if radius > 0:
+        gap = np.linalg.norm(mesh.corners[:, :, None] - path[[0, -1]], axis=3).min(axis=(1, 2))
+        return np.union1d(boxed[near], np.flatnonzero(gap <= radius))
+    return boxed[near]

@@ -1,0 +1,236 @@
+"""A cut in a condensed organ: few unknowns, solved densely, for all data of its lips at once.
+
+Unknown are the basis functions of the cells that the cut changes and of the outline about it. Everything else acts on
+them by a stiffness that does not depend on the cut (`condensation`). The answer is linear in what the lips do: unit
+displacements of each held lip, along each axis and along its own normal, are solved once, and any other data combine
+them. Pressing lips add unit forces of their hats, and the active set of the batch chooses among those.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.sparse import csc_array, eye_array
+
+from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.subcells import Subcells, embed
+from xfemnav.geometry.window import Window, window
+from xfemnav.mechanics.condensation import Condensation, chosen, with_rim
+from xfemnav.mechanics.constraints import Constraints
+from xfemnav.mechanics.elasticity import Material, Tissue, plain_blocks, stiffness_entries
+from xfemnav.mechanics.enrichment import HEAVISIDE, Enrichment, enrich
+from xfemnav.mechanics.outline import skull_conditions
+from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
+from xfemnav.mechanics.space import Space
+
+#: A condition is dropped when what it asks beyond the others is smaller than this, relative.
+DEPENDENT = 1e-10
+
+
+class OutOfReach(Exception):
+    """The cut changes what the organ was condensed with: the skull's hold on nodes far from the plan."""
+
+
+class CutThrough(Exception):
+    """The cut takes a piece off: what holds it is a question for the whole organ."""
+
+
+@dataclass(frozen=True, eq=False)
+class Incision:
+    """A cut in a condensed organ.
+
+    space: mesh, subcells and basis of the `window` about the cut, whose rim is that of the organ;
+    rows (a,): its basis functions that are unknown here; uncut (2 k, 2 k) kPa: the uncut organ's stiffness condensed
+    onto the first k of them, the nodes; A (n, n): stiffness of the scaled unknowns q, and R (2 a, n) the map u = R q;
+    skull: conditions of the skull that are no plain zeros.
+    """
+
+    organ: Condensation
+    cuts: tuple[Cut, ...]
+    window: Window
+    space: Space
+    rows: np.ndarray
+    uncut: np.ndarray
+    A: np.ndarray
+    R: "Scaling"
+    skull: Constraints
+
+    @cached_property
+    def dofs(self) -> np.ndarray:
+        """Degrees of freedom (2 a,) of the window's basis that are unknown."""
+        return (2 * self.rows[:, None] + np.arange(2)).ravel()
+
+    def local(self, C) -> np.ndarray:
+        """Conditions (m, n_dof) of the window as a matrix (m, 2 a) on the unknowns."""
+        return csc_array(C)[:, self.dofs].toarray()
+
+    def expand(self, u) -> tuple[np.ndarray, np.ndarray]:
+        """All coefficients from the unknowns u (2 a, k) mm: those of the organ's nodes (n_nodes, 2, k), and of the
+        window's basis (n_rows, 2, k)."""
+        k = len(self.uncut) // 2
+        nodes = self.window.nodes[self.rows[:k]]
+        forces = np.zeros((len(self.organ.mesh.points), 2, u.shape[1]))
+        forces[nodes] = (self.uncut @ u[: 2 * k]).reshape(k, 2, -1)
+        U = self.organ.solve(forces)
+        U[nodes] = u[: 2 * k].reshape(k, 2, -1)
+        own = np.zeros((self.space.enrichment.n_rows, 2, u.shape[1]))
+        own[: len(self.window.nodes)] = U[self.window.nodes]
+        own[self.rows] = u.reshape(len(self.rows), 2, -1)
+        return U, own
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """u = R q: plain unknowns `plain` (p,) of u are scaled by `scale` (p,), those of `tips` (t,) mixed by `mix` (t, n).
+    Unknowns in neither are zero."""
+
+    size: int
+    plain: np.ndarray
+    scale: np.ndarray
+    tips: np.ndarray
+    mix: np.ndarray
+
+    def __matmul__(self, q):
+        u = np.zeros((self.size, *q.shape[1:]))
+        u[self.plain] = self.scale[:, None] * q[: len(self.plain)]
+        u[self.tips] = self.mix @ q[len(self.plain) :]
+        return u
+
+    def rows(self, C) -> np.ndarray:
+        """C R (m, n) of rows C (m, size)."""
+        return np.concatenate([C[:, self.plain] * self.scale, C[:, self.tips] @ self.mix], axis=1)
+
+
+def incise(
+    organ: Condensation, cuts: tuple[Cut, ...], tip_enrichment: str = "topological", tip_radius_mm: float | None = None
+) -> Incision:
+    """Cut the organ. Raises OutOfReach, CutThrough."""
+    space, part = _space(organ, cuts, tip_enrichment, tip_radius_mm)
+    mesh, table, sub = space.mesh, space.enrichment, space.subcells
+    material = _restricted(organ.material, part.cells)
+    mouths = np.array([path[0] for path, cut in zip(sub.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(-1, 2)
+    if not organ.reaches(mouths):
+        raise OutOfReach
+    outline = skull_conditions(space, organ.skull, mouths, material)
+    springs = outline.springs.tocoo()
+    held = np.zeros(table.n_rows)
+    held[: len(mesh.points)] = organ.held[part.nodes]
+    rest = chosen(outline.constraints, abs(outline.constraints.C) @ np.repeat(held, 2) == 0)
+    # Where a basis function is new, all parts of the cell are integrated anew.
+    n = len(mesh.points)
+    new = (table.dof >= n).any(axis=1)
+    new[table.entry_part] = True
+    cells = np.zeros(len(mesh.cells), dtype=bool)
+    cells[sub.part_cell[new]] = True
+    parts = cells[sub.part_cell]
+    needed = np.zeros(table.n_rows, dtype=bool)
+    for rows in (table.dof[parts], table.dof[sub.lip_parts], table.entry_row[:, None] + np.arange(4),
+                 mesh.cells[cells], rest.C.indices // 2, springs.row // 2):
+        needed[rows] = True
+    if needed[held > 0].any():
+        raise OutOfReach
+    rows = np.flatnonzero(needed)
+    number = np.full(2 * table.n_rows, -1)
+    number[(2 * rows[:, None] + np.arange(2)).ravel()] = np.arange(2 * len(rows))
+    K = np.zeros((2 * len(rows),) * 2)
+    i, j, values = stiffness_entries(space, material, parts)
+    np.add.at(K, (number[i], number[j]), values)
+    np.add.at(K, (number[springs.row], number[springs.col]), springs.data)
+    fixed, skull = _fixed(rest, number)
+    uncut = _condensed(organ, part.nodes[rows[rows < n]])
+    outside = uncut - _plain(part.mesh, material, np.flatnonzero(cells), rows[rows < n])
+    A, R = _scaled(space, material, tip_enrichment, K, outside, rows, fixed)
+    return Incision(organ, cuts, part, space, rows, uncut, A, R, skull)
+
+
+def _space(organ, cuts, tip_enrichment, tip_radius_mm):
+    """Mesh, subcells and basis of the window about the cuts, and the window."""
+    geometric = tip_enrichment == "geometric"
+    radius = 0.0
+    if geometric:
+        radius = 2 * (tip_radius_mm or max(max(cut.length for cut in cuts) / 5, 4 * organ.mesh.sizes.max()))
+    path = np.concatenate([cut.path for cut in cuts])
+    live = organ.uncut.rim_part[organ.live_facets]
+    part = window(organ.mesh, path, radius, live)
+    sub = embed(part.mesh, cuts)
+    sub = with_rim(sub, _live_rim(organ, part, sub))
+    table = enrich(part.mesh, sub, tip_enrichment, tip_radius_mm)
+    # The pieces of a node on the border join outside of the window.
+    spurious = (table.kind == HEAVISIDE) & part.border[table.node]
+    own = np.where(spurious, table.node, np.arange(table.n_rows))
+    table = replace(table, dof=own[table.dof])
+    _refuse_through(sub, table)
+    return Space(part.mesh, sub, table), part
+
+
+def _live_rim(organ, part, sub):
+    """Facets (b,) bool of the window's rim that are live facets of the organ, and not the window's own border."""
+    cell = sub.part_cell[sub.rim_part]
+    offset = sub.rim_ends.mean(axis=1)[:, None] - part.mesh.corners[cell][:, [1, 2, 0]]
+    depth = np.abs(np.einsum("bai,bai->ba", part.mesh.gradients[cell], offset))
+    facet = organ.facet_number[part.cells[cell], np.argmin(depth, axis=1)]
+    return (facet >= 0) & organ.live_facets[facet]
+
+
+def _refuse_through(sub: Subcells, table: Enrichment):
+    """The parts beside the lips hang together around the tips, or else the cut takes something off."""
+    if len(np.unique(table.body[sub.lip_parts])) > 1:
+        raise CutThrough
+
+
+def _restricted(material, cells):
+    if isinstance(material, Material):
+        return material
+    return Tissue(material.young_kpa[cells], material.poisson[cells], material.stress_state)
+
+
+def _condensed(organ, nodes):
+    """Stiffness (2 k, 2 k) kPa of the uncut organ condensed onto nodes (k,): the inverse of their compliance."""
+    factor, _ = lapack.dpotrf(organ.compliance.among(nodes), lower=True, overwrite_a=True)
+    inverse, _ = lapack.dpotri(factor, lower=True, overwrite_c=True)
+    return np.tril(inverse) + np.tril(inverse, -1).T
+
+
+def _plain(mesh, material, cells, nodes):
+    """Stiffness (2 k, 2 k) kPa of uncut `cells` (c,) on nodes (k,)."""
+    K = np.zeros((2 * len(nodes),) * 2)
+    K_c = plain_blocks(mesh.gradients[cells], mesh.areas[cells], material.stiffness_in(cells))
+    number = np.empty(len(mesh.points), dtype=int)
+    number[nodes] = np.arange(len(nodes))
+    dof = (2 * number[mesh.cells[cells]][:, :, None] + np.arange(2)).reshape(-1, 6)
+    np.add.at(K, (dof[:, :, None], dof[:, None, :]), K_c)
+    return K
+
+
+def _fixed(conditions, number):
+    """Unknowns that the skull holds at zero, and its other conditions."""
+    single = np.diff(conditions.C.indptr) == 1
+    return number[conditions.C[np.flatnonzero(single)].indices], chosen(conditions, ~single)
+
+
+def _scaled(space, material, tip_enrichment, K, outside, rows, fixed):
+    """A = R'(K + outside)R and the scaling R, with the blocks of tip nodes as in `node_blocks`."""
+    table = space.enrichment
+    free = np.ones(len(K), dtype=bool)
+    free[fixed] = False
+    at_tip = np.repeat(np.isin(table.node[rows], table.tip_nodes), 2)
+    plain, tips = np.flatnonzero(free & ~at_tip), np.flatnonzero(free & at_tip)
+    T = eye_array(table.n_dof, format="csc")
+    if tip_enrichment == "geometric":
+        T = vector_tip_basis(space, material)
+    dofs = (2 * rows[:, None] + np.arange(2)).ravel()[tips]
+    T_tips = T.tocsr()[dofs].tocsc()
+    columns = np.flatnonzero(np.diff(T_tips.indptr))
+    mix = np.zeros((len(tips), 0))
+    if len(tips):
+        mix = T_tips[:, columns].toarray()
+        block = mix.T @ K[np.ix_(tips, tips)] @ mix
+        mix = mix @ node_blocks(csc_array(block), owners(table, T)[columns]).toarray()
+    A = K
+    A[: len(outside), : len(outside)] += outside
+    scale = 1 / np.sqrt(A[plain, plain])
+    R = Scaling(len(A), plain, scale, tips, mix)
+    half = R.rows(A)
+    A = R.rows(half.T)
+    return (A + A.T) / 2, R

@@ -1,0 +1,214 @@
+"""What a cut in a condensed organ does when its lips are moved: modes, to be combined.
+
+For each held lip there are three: it is moved by 1 mm along each axis, or by 1 mm away from the other lip. The answer
+to any displacement of the blades is a sum of modes, and so are the forces on the blades. What presses on lips that
+touch is found among unit forces of the contact hats, as in `minimise`, and added.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import lapack, solve_triangular
+from scipy.sparse import csr_array
+
+from xfemnav.errors import XfemnavError
+from xfemnav.mechanics.constraints import Constraints, stack
+from xfemnav.mechanics.contact import lip_contacts
+from xfemnav.mechanics.enrichment import BRANCH
+from xfemnav.mechanics.incision import Incision
+from xfemnav.mechanics.lips import Retraction, held_span, lip_quadrature, lip_rows
+from xfemnav.mechanics.minimise import CONTRADICTION_MM, SETTLED, TOUCH_MM, Contacts, pressed
+
+#: A condition is left out when what it asks beyond the others is smaller than this, relative.
+DEPENDENT = 1e-10
+#: Modes of a held lip: along the plane's axes, and away from the other lip.
+PER_LIP = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a combination of modes gives: unknowns u (2 a,) mm, and for each blade its force (r, 2) mN per mm and the
+    part of it, push (r,) mN per mm, that is away from the other lip."""
+
+    u: np.ndarray
+    force: np.ndarray
+    push: np.ndarray
+
+    def __add__(self, other: "Answer") -> "Answer":
+        return Answer(self.u + other.u, self.force + other.force, self.push + other.push)
+
+
+@dataclass(frozen=True, eq=False)
+class LipModes:
+    """The modes of the held lips of an incision.
+
+    blades (r,): Retractions that name cut, side and blade; spans (r, 2) mm: what they hold. conditions: those of the
+    blades, then those of the skull; their data for a unit of each mode are d (m, 3 r) mm. u (2 a, 3 r) mm: the
+    unknowns of each mode, and multipliers (m, 3 r) mN per mm of the conditions.
+    """
+
+    incision: Incision
+    blades: tuple[Retraction, ...]
+    spans: np.ndarray
+    conditions: Constraints
+    weights: np.ndarray
+    d: np.ndarray
+    system: "System"
+    u: np.ndarray
+    multipliers: np.ndarray
+
+    def free(self, amounts) -> Answer:
+        """The answer when mode m is taken `amounts` (3 r,) times and lips pass through each other."""
+        return self._answer(self.u @ amounts, self.multipliers @ amounts)
+
+    def opening(self, amounts) -> float:
+        """Smallest distance mm by which the lips are pulled apart where both are held; infinite where none are."""
+        spans = {blade.side: span for blade, span in zip(self.blades, self.spans)}
+        if len(spans) < 2:
+            return np.inf
+        span = np.maximum.reduce(list(spans.values()))[0], np.minimum.reduce(list(spans.values()))[1]
+        normals = self._normals(*np.minimum(span, self.incision.cuts[self.blades[0].cut].length))
+        apart = np.zeros(len(normals))
+        for k, blade in enumerate(self.blades):
+            *along, away = amounts[PER_LIP * k : PER_LIP * (k + 1)]
+            apart += blade.side * (normals @ along) + away
+        return float(apart.min(initial=np.inf))
+
+    @cached_property
+    def fields(self) -> tuple[np.ndarray, np.ndarray]:
+        """The modes on the whole organ: see `Incision.expand`."""
+        return self.incision.expand(self.u)
+
+    @cached_property
+    def lengths(self) -> np.ndarray:
+        """Held length (r,) mm of each lip."""
+        space = self.incision.space
+        held = [lip_quadrature(space, b.cut, b.side, span) for b, span in zip(self.blades, self.spans)]
+        return np.array([q.weights.sum() for q in held])
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """Conditions that lips do not pass through each other, where not both are held."""
+        removed = np.zeros(self.incision.space.subcells.n_parts, dtype=bool)
+        return lip_contacts(self.incision.space, self.blades, self.spans, removed)
+
+    @cached_property
+    def gaps(self) -> np.ndarray:
+        """Mean gap (g, 3 r) mm of each contact in each mode."""
+        return self.incision.local(self.contacts.G) @ self.u
+
+    def pressing(self, amounts) -> Answer | None:
+        """What contact adds; None when no lips touch. Raises XfemnavError E405 where held lips would overlap."""
+        gap = self.gaps @ amounts + self.contacts.gap
+        if gap.min(initial=0.0) >= -TOUCH_MM:
+            return None
+        G, live = self._live_contacts
+        settled = ~live
+        if settled.any() and gap[settled].min() < -CONTRADICTION_MM:
+            x, y = self.contacts.points[settled][np.argmin(gap[settled])]
+            raise XfemnavError(
+                "E405",
+                f"what is held pushes the lips of a cut into each other by {-gap[settled].min():.2g} mm at "
+                f"({x:.1f}, {y:.1f}) mm; correct the displacements there, or give lips='free'.",
+            )
+        zero = np.zeros(len(self.system.A))
+        _, force = pressed(self.system, self.system.A, zero, zero, csr_array(G[live]), gap[live])
+        q, multipliers = self.system.constrained((G[live].T @ force)[:, None], np.zeros((len(self.d), 1)))
+        return self._answer((self.incision.R @ q)[:, 0], multipliers[:, 0])
+
+    def _normals(self, start, stop):
+        """Left normals (q, 2) of the cut between two arcs, mm."""
+        return lip_quadrature(self.incision.space, self.blades[0].cut, 1, (start, stop), n=1).normals
+
+    @cached_property
+    def _live_contacts(self):
+        """Contacts as rows (g, n) on the scaled unknowns, and those (g,) bool that are not settled by what is held."""
+        G = self.incision.R.rows(self.incision.local(self.contacts.G))
+        kept = np.einsum("gn,ng->g", G, self.system.solve(G.T))
+        free = np.einsum("gn,ng->g", G, self.system.unheld(G.T))
+        return G, kept > SETTLED**2 * free
+
+    def _answer(self, u, multipliers) -> Answer:
+        group, axis = self.conditions.group, np.arange(len(self.d)) % 2
+        force, push = np.zeros((len(self.blades), 2)), np.zeros(len(self.blades))
+        for blade in range(len(self.blades)):
+            own = group == blade
+            for i in (0, 1):
+                force[blade, i] = (self.weights * multipliers)[own & (axis == i)].sum()
+            # The work on a unit displacement away from the other lip.
+            push[blade] = self.d[own, PER_LIP * blade + 2] @ multipliers[own]
+        return Answer(u, force, push)
+
+
+class System:
+    """A q = b under C q = 0 and any d: solved by one Cholesky factor of A + C'C, and of C's compliance."""
+
+    def __init__(self, A, C):
+        size = np.linalg.norm(C, axis=1)
+        self.A, self.size = A, np.where(size > 0, size, 1.0)
+        self.C = C / self.size[:, None]
+        self.factor, info = lapack.dpotrf(A + self.C.T @ self.C, lower=True, overwrite_a=True)
+        if info:
+            raise XfemnavError(
+                "E406",
+                "nothing holds the organ, or a piece of it, once it is cut; hold a lip, or ask a run, which says more.",
+            )
+        self.Y = solve_triangular(self.factor, self.C.T, lower=True, check_finite=False)
+        S = self.Y.T @ self.Y
+        _, pivot, rank, _ = lapack.dpstrf(S, lower=True, tol=DEPENDENT)
+        self.kept = np.sort(pivot[:rank] - 1)
+        self.root, _ = lapack.dpotrf(S[np.ix_(self.kept, self.kept)], lower=True)
+
+    def constrained(self, b, d):
+        """q (n, k) and multipliers (m, k) with A q = b + C' multipliers and C q = d; b (n, k), d (m, k)."""
+        d = d / self.size[:, None]
+        q, force = self._once(b, d)
+        more, extra = self._once(b - self.A @ q + self.C.T @ force, d - self.C @ q)
+        return q + more, (force + extra) / self.size[:, None]
+
+    def _once(self, b, d):
+        z = solve_triangular(self.factor, b + self.C.T @ d, lower=True, check_finite=False)
+        force = np.zeros(d.shape)
+        if len(self.kept):
+            miss = d[self.kept] - self.Y[:, self.kept].T @ z
+            force[self.kept] = lapack.dpotrs(self.root, miss, lower=True)[0]
+        q = solve_triangular(self.factor, z + self.Y @ force, lower=True, trans=1, check_finite=False)
+        return q, force + d - self.C @ q
+
+    def solve(self, b):
+        """q with C q = 0."""
+        flat = b.reshape(len(b), -1)
+        return self.constrained(flat, np.zeros((len(self.C), flat.shape[1])))[0].reshape(b.shape)
+
+    def unheld(self, b):
+        """q of the system whose conditions are springs."""
+        return lapack.dpotrs(self.factor, b, lower=True)[0]
+
+
+def lip_modes(
+    incision: Incision, blades: tuple[Retraction, ...], lip_constraint: str = "mortar", hold_tip: bool = False
+) -> LipModes:
+    """Hold the lips that the `blades` name, whatever they do with them. Raises XfemnavError E402, E406."""
+    space = incision.space
+    units = [replace(blade, displacement_mm=None, normal_mm=1.0) for blade in blades]
+    whole = lip_constraint == "pointwise"
+    spans = np.array([(0.0, np.inf) if whole and unit.blade is None else held_span(space, incision.cuts, unit)
+                      for unit in units]).reshape(-1, 2)
+    rows = [lip_rows(space, unit, span, group, lip_constraint, hold_tip)
+            for group, (unit, span) in enumerate(zip(units, spans))]
+    conditions = stack([*rows, incision.skull], space.enrichment.n_dof)
+    # A condition's weights on the partition of unity are its right-hand side for a unit translation.
+    weights = conditions.C @ np.repeat(space.enrichment.kind < BRANCH, 2)
+    axis = np.arange(len(weights)) % 2
+    d = np.zeros((len(weights), PER_LIP * len(blades)))
+    start = 0
+    for group, own in enumerate(rows):
+        at = slice(start, start + len(own.d))
+        for i in (0, 1):
+            d[at, PER_LIP * group + i] = weights[at] * (axis[at] == i)
+        d[at, PER_LIP * group + 2] = own.d
+        start = at.stop
+    system = System(incision.A, incision.R.rows(incision.local(conditions.C)))
+    q, multipliers = system.constrained(np.zeros((len(incision.A), d.shape[1])), d)
+    return LipModes(incision, blades, spans, conditions, weights, d, system, incision.R @ q, multipliers)

@@ -1,0 +1,280 @@
+"""A session: the organ is condensed once, then a cut and its blades move in milliseconds.
+
+It is for whoever holds a tracked instrument: each of its poses moves the cut or the blades, and asks for tissue,
+image and forces. The answers are those of a run with the same cut and lips, to rounding.
+"""
+
+from functools import cached_property
+
+import numpy as np
+
+from xfemnav.errors import XfemnavError, warn
+from xfemnav.pipeline.config import BLADE, configure
+from xfemnav.pipeline.flags import numbers
+from xfemnav.pipeline.kernels import settle_kernel_cache
+
+SIDES = {"left": 1, "right": -1}
+NAME = "cut"
+#: What a session cannot do, by the name of the setting, and the value that it must have.
+ONLY = {"resections": (), "skull_gap_mm": 0.0, "arcs": (), "boundary_displacement": None, "gravity": None,
+        "pressures": (), "model": "linear", "loose_pieces": "refuse"}
+
+
+class Session:
+    """An organ ready to be cut: from an image (segmented and meshed as in a run), or from a `Mesh` in plane mm.
+
+    corridor : where cuts are planned, as `--cut` (rows of numbers or "x,y x,y ..."), from the surface inwards. The
+        mesh is fine about it, and a cut that stays within `reach_mm` of it moves in milliseconds. One farther away
+        takes longer; one with its mouth farther away condenses the organ anew (W315).
+    flags : those of `xfemnav.run`, or a `scenario`: mask, slice_mm, element_size_mm, young_kpa, craniotomy_mm, ...
+
+    Points are (2,) or (n, 2) plane mm, or (3,) or (n, 3) world RAS mm; results have the same form, and are NaN where
+    there is no tissue. `side` is the lip, "left" (+1) or "right" (-1), of points on the cut.
+
+    >>> import numpy as np
+    >>> from data_synthetic import domains
+    >>> from xfemnav.geometry.distmesh import distmesh
+    >>> session = Session(distmesh(domains.disc(70.0), 6.0), corridor=[[0, 75], [0, 30]])
+    >>> session.cut([[0, 75], [0, 30]])
+    >>> session.open(left=3.0, right=3.0)  # mm, away from the other lip
+    >>> left, right = (session.displacement([0.0, 60.0], side) for side in ("left", "right"))
+    >>> print(f"{left[0] - right[0]:.1f} mm apart")
+    6.0 mm apart
+    """
+
+    def __init__(self, image=None, *, corridor=None, scenario=None, reach_mm: float = 6.0, **flags):
+        from xfemnav.geometry.mesh import Mesh
+
+        settle_kernel_cache()  # before kernels are imported
+        given = flags if corridor is None else flags | {"cut": corridor}
+        organ = image if isinstance(image, Mesh) else None
+        # A mesh stands in for the image that it was made of: no file is read.
+        config = configure("organ" if organ is not None else image, scenario, given, until="mesh")
+        self._settings, self._warp, self.reach_mm = config.constrain, config.warp, reach_mm
+        _refuse(config)
+        self.frame, self.mesh, self._material, plan = _prepared(config, organ)
+        self._condense(self._placed(plan))
+        self._incision = self._drawn = self._asked = None
+
+    def cut(self, path) -> None:
+        """Cut along a path, from the surface inwards, in the place of the cut before; the blades keep what they do.
+
+        Raises what a run would of the cut (E301 to E305), and E314 when it goes right through.
+        """
+        from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
+        from xfemnav.mechanics.live_motion import soup
+
+        placed, how = self._placed(self._plane(path)), self._settings.tip_enrichment
+        try:
+            try:
+                incision = incise(self._organ, (placed,), how)
+            except OutOfReach:
+                warn("W315", "the cut has left the session's corridor, and the organ is condensed anew about it.")
+                self._condense(placed)
+                incision = incise(self._organ, (placed,), how)
+        except CutThrough:
+            raise XfemnavError("E314", f"cut '{NAME}' goes right through the tissue, which a session cannot do; let it "
+                                       "end inside, or make a run of it.") from None
+        self._incision, self._soup, self._modes, self._drawn = incision, soup(incision), {}, self._rows(path)
+        self._move(*(self._asked or ({}, BLADE)), at_once=True)
+
+    def extend_cut(self, point) -> None:
+        """Lengthen the cut to a point."""
+        self._refuse_uncut()
+        self.cut(np.vstack([self._drawn, self._rows(point)]))
+
+    def open(self, left=None, right=None, *, blade: tuple[float, float] = BLADE) -> None:
+        """Move the lips: (dx, dy) plane mm, or one number, mm away from the other lip; None leaves a lip to itself.
+
+        Each blade holds the part `blade` of the cut, from the mouth. Raises E402, E405 and E406 as a run.
+        """
+        self._refuse_uncut()
+        moves = {side: np.atleast_1d(np.asarray(move, float)) for side, move in ((1, left), (-1, right))
+                 if move is not None}
+        if any(move.shape not in ((1,), (2,)) or not np.isfinite(move).all() for move in moves.values()):
+            raise XfemnavError("E780", "a lip moves by one finite number, or by two: left=3.0 or left=(3.5, 1.0).")
+        self._move(moves, tuple(blade), at_once=False)
+        self._asked = moves, tuple(blade)
+
+    def displacement(self, points, side=None) -> np.ndarray:
+        """Displacement, mm, of the tissue that was at `points`."""
+        return self.to_current(points, side) - np.asarray(points, float)
+
+    def to_current(self, points, side=None) -> np.ndarray:
+        """Where the tissue that was at `points` in the preoperative image is now."""
+        return self._mapped(points, lambda plane: self._motion.to_current(plane, SIDES.get(side, side)))
+
+    def to_preoperative(self, points) -> np.ndarray:
+        """Where the tissue that is now at `points` was in the preoperative image."""
+        return self._mapped(points, self.motion.to_preoperative)
+
+    @property
+    def motion(self):
+        """The map of the tissue, in plane coordinates: a PiecewiseAffineMap, as that of a run."""
+        return self._motion.all
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Displacements (n, 2) mm, plane frame, of the nodes of `mesh`."""
+        return self._motion.U
+
+    @property
+    def inverted_mm2(self) -> float:
+        """Area of tissue, mm^2, that is turned inside out: above 1 the result is not to be trusted (E401)."""
+        from xfemnav.pipeline.stage_solve import inverted_area
+
+        return inverted_area(self._soup.rest, self._motion.moved)
+
+    def image(self, values=None, *, interp: str | None = None, outside: str | None = None, fill: float | None = None):
+        """The slice as it looks now, (n1, n2) along e1 and e2; or other `values` on its grid, a companion."""
+        from xfemnav.imaging.warp import pull_back, update
+
+        if self.frame is None:
+            raise XfemnavError("E780", "image: this session was made of a mesh; make it of an image to warp one.")
+        values = self.frame.values if values is None else np.asarray(values)
+        if values.shape != self.frame.values.shape:
+            raise XfemnavError("E130", f"the companion has {values.shape} pixels and the slice "
+                                       f"{self.frame.values.shape}; give it on the slice's grid, along e1 and e2.")
+        grid = self.frame.origin, self.frame.spacing, self.frame.values.shape
+        if self._pulled is None:
+            self._pulled = pull_back(self._soup.rest, self._motion.moved, *grid)
+        own = self._warp
+        how = [own.interp if interp is None else interp, own.outside if outside is None else outside,
+               own.fill if fill is None else fill]
+        return update(values, *grid[:2], self._at_rest, self._pulled, *how).updated
+
+    def forces(self) -> dict:
+        """What each blade does: {"left": RetractorForce, ...}, mN per mm of thickness, kPa."""
+        return dict(self._forces)
+
+    @cached_property
+    def _at_rest(self):
+        """Pixels (n1, n2) of the organ at rest."""
+        from xfemnav.imaging.warp import covered
+
+        return covered(self.mesh.corners, self.frame.origin, self.frame.spacing, self.frame.values.shape)
+
+    def _move(self, moves: dict, blade: tuple[float, float], at_once: bool) -> None:
+        """Put the lips where `moves` says; `at_once` for a cut that has not been opened yet: its modes come later."""
+        from xfemnav.mechanics.live_motion import LiveMotion
+
+        modes = self._modes_of(tuple(moves), blade)
+        amounts = np.concatenate([np.zeros(0), *([*move, 0.0] if len(move) == 2 else [0.0, 0.0, *move]
+                                                 for move in moves.values())])
+        if (opening := modes.opening(amounts)) < -1e-9:
+            raise XfemnavError("E405", f"left and right look swapped: the lips are pushed {-opening:.1f} mm into each "
+                                       "other; left is left when walking from the mouth to the tip.")
+        answer, pressing = modes.free(amounts), None
+        if self._settings.lips == "contact":
+            pressing = modes.pressing(amounts)
+        if pressing is not None:
+            answer += pressing
+        if at_once:
+            U, own = (field[..., 0] for field in self._incision.expand(answer.u[:, None]))
+        else:
+            U, own = (field @ amounts for field in modes.fields)
+            if pressing is not None:
+                U, own = (field + more[..., 0] for field, more in
+                          zip((U, own), self._incision.expand(pressing.u[:, None])))
+        self._motion, self._pulled = LiveMotion(self._soup, U, own), None
+        self._forces = _told(modes, answer)
+
+    def _modes_of(self, sides: tuple[int, ...], blade):
+        """Modes of blades on these lips, worked out when they are first asked for."""
+        from xfemnav.mechanics.lip_modes import lip_modes
+        from xfemnav.mechanics.lips import Retraction
+
+        key = sides, blade
+        if key not in self._modes:
+            held = tuple(Retraction(0, side, normal_mm=1.0, blade=blade) for side in sides)
+            settings = self._settings
+            self._modes[key] = lip_modes(self._incision, held, settings.lip_constraint, settings.hold_tip)
+        return self._modes[key]
+
+    def _condense(self, plan) -> None:
+        """Condense the organ about a planned cut, uncut and at rest."""
+        from xfemnav.mechanics.condensation import condense
+        from xfemnav.mechanics.live_motion import LiveMotion, uncut
+        from xfemnav.mechanics.outline import Skull
+
+        settings, mouths = self._settings, plan.path[:1] if plan.mouth and plan.craniotomy else ()
+        skull = Skull(settings.skull, settings.craniotomy_mm, settings.skull_ramp_mm)
+        self._organ = condense(self.mesh, self._material, skull, plan.path, reach_mm=self.reach_mm, mouths=mouths)
+        self._soup = uncut(self._organ)
+        self._motion, self._pulled, self._forces = LiveMotion(
+            self._soup, np.zeros((len(self.mesh.points), 2)), np.empty((0, 2))), None, {}
+
+    def _placed(self, path):
+        """The cut inside the organ, with its mouth."""
+        from xfemnav.geometry.cut import place_cut
+
+        drawn = self._settings.cuts[0]
+        outline = self.mesh.points[self.mesh.boundary_loops[0]]
+        return place_cut(path, outline, drawn.name, internal=drawn.internal, craniotomy=drawn.craniotomy)
+
+    def _rows(self, points) -> np.ndarray:
+        """Points as rows of numbers, plane (n, 2) or world (n, 3) mm."""
+        if isinstance(points, str):
+            points = [numbers(word) for word in points.replace(";", " ").split()]
+        return np.array(points, float, ndmin=2)
+
+    def _plane(self, points) -> np.ndarray:
+        """Points (n, 2) plane mm."""
+        rows = self._rows(points)
+        if self.frame is None:
+            return rows
+        from xfemnav.imaging.slices import plane_points
+
+        return plane_points(self.frame, rows)
+
+    def _mapped(self, points, move) -> np.ndarray:
+        points = np.asarray(points, float)
+        rows = np.atleast_2d(points)
+        if rows.shape[1] == 2:
+            return move(rows).reshape(points.shape)
+        plane, distance = self.frame.from_world(rows)
+        return (self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]).reshape(points.shape)
+
+    def _refuse_uncut(self) -> None:
+        if self._incision is None:
+            raise XfemnavError("E780", "the organ is not cut yet: give a path to Session.cut first.")
+
+
+def _refuse(config) -> None:
+    """Name every setting that a session cannot have."""
+    params = config.constrain
+    found = [f"{name.replace('_', ' ')} {getattr(params, name)!r}" for name, value in ONLY.items()
+             if getattr(params, name) != value]
+    found += [f"skull {params.skull!r}"] if params.skull not in ("fixed", "sliding") else []
+    found += [f"lip constraint {params.lip_constraint!r}"] if params.lip_constraint == "nitsche" else []
+    found += ["several cuts or steps"] if len(params.cuts) > 1 or len(config.steps) > 1 else []
+    found += ["retractions: say them to Session.open"] if params.retractions else []
+    found += ["no plan: say where, as corridor"] if not params.cuts else []
+    if found:
+        raise XfemnavError("E780", f"a session is for a cut in a fixed or sliding skull, not for {'; '.join(found)}.")
+
+
+def _prepared(config, organ):
+    """The slice, the mesh, the tissue and the planned cut (k, 2) plane mm, by the functions of the stages."""
+    from xfemnav.pipeline import stage_constrain, stage_mesh, stage_segment
+    from xfemnav.pipeline.chain import Inputs
+
+    params, inputs = config.constrain, Inputs(config)
+    drawn, slice = params.cuts[0], None
+    plan = np.array(drawn.points)
+    if organ is None:
+        from xfemnav.imaging.slices import plane_points
+
+        inputs.values["segment"] = slice, _ = stage_segment.compute(config.segment, inputs)
+        inputs.values["mesh"] = organ = stage_mesh.compute(config.mesh, inputs)
+        plan = plane_points(slice, plan, drawn.space)
+    return slice, organ, stage_constrain.tissue(params, organ, inputs), plan
+
+
+def _told(modes, answer) -> dict:
+    """The force of each blade by the name of its lip."""
+    from xfemnav.mechanics.solution import RetractorForce
+
+    names = {side: name for name, side in SIDES.items()}
+    return {names[blade.side]: RetractorForce(blade.cut, blade.side, tuple(force.tolist()), float(push / length))
+            for blade, force, push, length in zip(modes.blades, answer.force, answer.push, modes.lengths)}
