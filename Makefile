@@ -34,7 +34,7 @@ test: $(INSTALLED)  ## the tests that run in minutes
 
 test-all: $(INSTALLED)  ## all tests, long batteries too; the independent reference needs gmsh and scikit-fem
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'
-	$(BIN)/python -m pytest -n 2
+	HYPOTHESIS_PROFILE=default $(BIN)/python -m pytest -n 2
 
 lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .

@@ -76,7 +76,7 @@ MECHANICS = (
     click.option("--boundary-displacement", type=FILE, metavar="FILE.csv",
                  help="Measured motion of the outline: x,y,ux,uy[,side], plane mm read by --space ras or lps."),
     click.option("--tip-enrichment", type=_choice("topological", "geometric", "none"),
-                 help="Functions at tips.  [topological]"),
+                 help="Functions at tips.  [topological; neo-hookean: none]"),
     click.option("--lip-constraint", type=_choice("mortar", "nitsche", "pointwise"),
                  help="How lips are held.  [mortar]"),
     click.option("--hold-tip", is_flag=True, default=None, help="Hold the tip cell too (pointwise only)."),

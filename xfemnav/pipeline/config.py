@@ -119,6 +119,8 @@ def scenario_problems(path: Path) -> list[str]:
 
 
 def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]) -> Config:
+    tips = s.solve.tip_enrichment or ("topological" if s.solve.model == "linear" else "none")
+    s = s.model_copy(update={"solve": s.solve.model_copy(update={"tip_enrichment": tips})})
     s = s.model_copy(update={"retract": tuple(_filled(r, s) for r in s.retract)})
     drawn = Drawn.read(s, files)
     carried = tuple(_carried(s, files))

@@ -250,8 +250,9 @@ class SolveSection(Section):
     """How the equations are set up."""
 
     stress_state: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
-    tip_enrichment: Literal["topological", "geometric", "none"] = Field(
-        "topological", description="nodes with tip functions: those about the tip, those near it, or none")
+    tip_enrichment: Literal["topological", "geometric", "none"] | None = Field(
+        None, description="nodes with tip functions: those about the tip, those near it, or none; left out: "
+                          "topological, but none with the neo-Hookean model")
     lip_constraint: Literal["mortar", "nitsche", "pointwise"] = Field("mortar", description="how lips are held")
     model: Literal["linear", "neo-hookean"] = Field("linear", description="small strains, or finite ones")
     hold_tip: bool = Field(False, description="hold the tip cell's crossings too (pointwise only)")
