@@ -3,7 +3,7 @@
     python -m benchmarks.accuracy [problem ...] [--page]
 
 Problems: a a3 b c d e f1 f2 p-uniform p-graded angles fractions conditioning slivers
-placements short; all without a name (about half
+placements short g pushes; all without a name (about half
 an hour on one core). Results are kept in benchmarks/results/accuracy.json, one entry a case; the page is written from
 all of them, with --page alone from what is there. The conforming references of p are computed once, into
 out/reference.
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.reference.cases import FRACTIONS
-from benchmarks.verification import cases, conditioning, retraction
+from benchmarks.verification import cases, conditioning, contact, retraction
 from benchmarks.verification.outcome import Value, cg_iterations, condition_number, reduced_system
 from benchmarks.verification.page import write_page
 from benchmarks.verification.placements import placements
@@ -80,10 +80,18 @@ def fractions(problem: str):
             yield from _rows(problem, f"{name} ({enrichment})", held, outcome)
 
 
+def closed(problem: str):
+    """Rows of problem g at all angles, 8k nodes, and at one angle for all sizes."""
+    for enrichment in ("geometric", "topological"):
+        for n, angles_of in ((2_000, (30,)), (8_000, contact.ANGLES), (32_000, (30,))):
+            for angle in angles_of:
+                yield from _rows(problem, enrichment, n, contact.pressed(n, enrichment, angle), angle=angle)
+
+
 def table(problem: str):
     """Rows of the tables of conditioning, of places of the tip, of short cuts."""
     rows = {"conditioning": conditioning.by_radius, "slivers": conditioning.slivers, "placements": placements,
-            "short": short_cuts}[problem]
+            "short": short_cuts, "pushes": contact.pushes}[problem]
     for row in rows():
         yield {"problem": problem, **row}
 
@@ -97,6 +105,8 @@ RUNS = {
     "slivers": table,
     "placements": table,
     "short": table,
+    "g": closed,
+    "pushes": table,
 }
 
 

@@ -1,4 +1,6 @@
-"""Problem g: a closed inclined crack in compression, frictionless; the lips press on each other and slide.
+"""Contact: problem g, and lips of the retraction disc that are pushed against each other.
+
+Problem g: a closed inclined crack in compression, frictionless; the lips press on each other and slide.
 
 In the crack's own axes the pressure goes through as if there were no crack, and the shear stress alone feels it: the
 field is the uniform one plus Westergaard's of mode II, so that K_I = 0 and K_II = sigma sqrt(pi a) sin beta cos beta.
@@ -10,10 +12,15 @@ from benchmarks.verification import fields
 from benchmarks.verification.cases import DISC, ENRICHED, STEEL, rectangle, uniform_mesh
 from benchmarks.verification.outcome import Outcome, Value
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
-from xfemnav.geometry.cut import Cut
+from benchmarks.verification.retraction import corridor
+from xfemnav.geometry.cut import Cut, place_cut
+from xfemnav.imaging.warp import pull_back
 from xfemnav.mechanics.contact import lip_contacts, lip_gaps, lip_pressure
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.fracture import stress_intensity
+from xfemnav.mechanics.lips import Retraction
+from xfemnav.mechanics.outline import Skull
+from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.solution import solve
 
 ANGLES = (0, 15, 30, 45, 60, 75)
@@ -66,3 +73,38 @@ def pressed(n: int, enrichment: str, angle_deg: float = 30.0) -> Outcome:
         Value(f"pressure, rms, {angle_deg:g} deg", p, p, float(np.sqrt(np.mean((pressure(arc) - p) ** 2)))),
     ]
     return Outcome(problem, solution, tuple(values))
+
+
+#: Cuts of the retraction disc, one lip pushed 3 mm against the other over a part of their length.
+PUSHED = {
+    "straight": [(0.0, 80.0), (0.0, 30.0)],
+    "bent": [(0.0, 80.0), (0.0, 55.0), (12.0, 35.0)],
+    "curved": [(25 * np.sin(t) - 10, 80 - 50 * t / 1.2) for t in np.linspace(0, 1.2, 30)],
+    "askew": [(3.0, 80.0), (1.7, 32.3)],
+}
+
+
+def pushes():
+    """Rows of one-sided retractions on the mesh of a run: how far the lips pass each other, with contact and without.
+
+    penetration: deepest gap below zero at Gauss points, mm; area: its integral, mm^2; overlap: pixels of 1 mm that
+    hold tissue twice.
+    """
+    mesh = corridor()
+    for name, path in PUSHED.items():
+        cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
+        for held in (0.8, 0.5):
+            blade = (Retraction(0, 1, displacement_mm=(-3.0, 0.0), blade=(0.0, held)),)
+            row = {"cut": name, "held": held, "nodes": len(mesh.points)}
+            for lips in ("contact", "free"):
+                problem = pose(mesh, (cut,), Material(), Skull(), blade, lips=lips)
+                solution = solve(problem)
+                arc, gap = lip_gaps(problem.space, solution.U, 0)
+                pixels = pull_back(solution.rest, solution.moved, (-75, -75), (1.0, 1.0), (151, 151)).overlap
+                row[f"penetration, {lips}"] = float(max(0.0, -gap.min()))
+                row[f"area, {lips}"] = float(np.trapezoid(np.maximum(0.0, -gap), arc))
+                row[f"overlap, {lips}"] = int(pixels.sum())
+                if lips == "contact":
+                    (touch,) = solution.contact
+                    row |= {"gap": solution.min_gap_mm, "length": touch.length_mm, "pressure": touch.mean_pressure_kPa}
+            yield row
