@@ -155,6 +155,7 @@ def test_methods_paragraph_tells_what_another_lab_needs(run):
     ({"retract": []}, "cut's mouth; the skull's grip set in over 4 mm. Lips that nothing held could"),
     ({"boundary": {"lips": "free"}}, "Lips that nothing held were free. The tissue moved"),
     ({"boundary": {"displacement": "surface.csv", "displacement_weight": 2.0}}, "followed by springs of 2 kPa/mm"),
+    ({"solve": {"model": "neo-hookean"}}, "isotropic, and neo-Hookean in plane strain"),
     ({"load": {"gravity": [0.0, -1.0]}}, "Gravity acted along (0, -1) on tissue of 1000 kg/m³, drained."),
     ({"tissue": {"labels": "dseg.nii", "by_label": {"7": {"kind": "tumour", "young_kpa": None, "poisson": None}}}},
      "Label 7 of dseg.nii was tumour (9 kPa, 0.45)."),

@@ -96,7 +96,9 @@ def _enrichment(run):
 
 
 def _tissue(asked):
-    return (f"The tissue was homogeneous, isotropic, and linearly elastic in plane {asked['solve']['stress_state']} "
+    kind = {"linear": "linearly elastic", "neo-hookean": "neo-Hookean"}[asked["solve"]["model"]]
+    where = " but for the labels below" if asked["tissue"]["by_label"] else ""
+    return (f"The tissue was homogeneous{where}, isotropic, and {kind} in plane {asked['solve']['stress_state']} "
             f"(Young's modulus {asked['tissue']['young_kpa']:g} kPa, Poisson's ratio {asked['tissue']['poisson']:g}).")
 
 
