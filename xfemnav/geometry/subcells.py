@@ -16,6 +16,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array, orient
 from xfemnav.geometry.partition import HERE, REACH, UNCUT, Segments, split_cells, touched_cells, triangulate
+from xfemnav.geometry.removal import parts_inside, walls
 from xfemnav.geometry.resection import Resection
 from xfemnav.geometry.snapping import SEVER, find_tips, mesh_net, snap, snap_region
 
@@ -37,7 +38,7 @@ class Subcells:
     rim_part (b,), rim_ends (b, 2, 2) mm: facets of the organ's outline, tissue on the left.
     removed (p,): parts taken out by a resection. No lip, rim facet, tip or wall belongs to one.
     wall_part (w,), wall_ends (w, 2, 2) mm, wall_resection (w,): facets between what is left and what was taken out,
-        tissue on the left, and the resection that took it.
+        tissue on the left, and the resection that took it; -1 where the beyond was a loose piece.
     tip_cut (t,), tip_end (t,) 0 or -1, tips (t, 2) mm, tip_travel (t, 2) unit direction in which the cut would go on.
     tip_touch (k, 2): pairs (tip, part) of the parts that a tip touches.
     paths: the snapped cuts, a tuple of (k, 2) mm.
@@ -114,17 +115,17 @@ def embed(mesh: Mesh, cuts: tuple[Cut, ...], resections: tuple[Resection, ...] =
     """
     net = mesh_net(mesh)
     outline = shapely.multilinestrings(shapely.linestrings(mesh.points[mesh.boundary_edges]))
-    region, walls = _snapped_region(net, outline, resections)
-    paths = snap(net, [cut.path for cut in cuts], walls, outline)
-    segments = Segments([*paths, *walls])
-    ends = [tip for tip in find_tips(mesh, net, paths, walls) if not shapely.contains_xy(region, *tip[1][tip[2]])]
+    region, loops = _snapped_region(net, outline, resections)
+    paths = snap(net, [cut.path for cut in cuts], loops, outline)
+    segments = Segments([*paths, *loops])
+    ends = [tip for tip in find_tips(mesh, net, paths, loops) if not shapely.contains_xy(region, *tip[1][tip[2]])]
     polygons = split_cells(mesh, segments, [path[end] for _, path, end in ends])
     return _assemble(mesh, paths, segments, ends, polygons, [_travel(cuts[k].path, end) for k, _, end in ends],
                      region, resections)
 
 
 def _snapped_region(net, outline, resections):
-    """All that is taken out, as one snapped region, and its walls inside the organ."""
+    """All that is taken out, as one snapped region, and the lines that cut it free inside the organ."""
     if not resections:
         return shapely.MultiPolygon(), ()
     regions = [snap_region(net, resection.region, outline)[0] for resection in resections]
@@ -168,16 +169,16 @@ def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections)
                 if (np.hypot(*(xy - tip).T) < HERE * mesh.sizes[c]).any():
                     touch.append((t, p))
     corners, part = np.concatenate(corners), np.concatenate(part)
-    removed = _inside(region, corners, part, len(part_cell))
+    removed = parts_inside(region, corners, part, len(part_cell))
     joins, join_ends = _joins(mesh, polygons, part_of)
     joined = removed[joins[:, 0]] == removed[joins[:, 1]]
     faces = _lips(mesh, segments, polygons, part_of)
     gone = removed[np.array([row[3] for row in faces], dtype=int).reshape(-1, 2)]
     lips = [row for row, k in zip(faces, gone) if not k.any() and row[0] < len(paths)]
     # A resection's line that merged with another leaves contacts between what stays and what goes: walls as well.
-    walls = [row for row, k in zip(faces, gone) if k.sum() == 1]
-    wall_ends = np.concatenate([np.array([row[2] for row in walls]).reshape(-1, 2, 2), join_ends[~joined]])
-    wall_parts = np.concatenate([np.array([row[3] for row in walls], dtype=int).reshape(-1, 2), joins[~joined, :2]])
+    bare = [row for row, k in zip(faces, gone) if k.sum() == 1]
+    wall_ends = np.concatenate([np.array([row[2] for row in bare]).reshape(-1, 2, 2), join_ends[~joined]])
+    wall_parts = np.concatenate([np.array([row[3] for row in bare], dtype=int).reshape(-1, 2), joins[~joined, :2]])
     rim_part, rim_ends = _rim(mesh, polygons, part_of)
     on_rim = ~removed[rim_part]
     return Subcells(
@@ -199,35 +200,9 @@ def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections)
         tip_travel=np.array(travel).reshape(-1, 2),
         tip_touch=np.array(touch, dtype=int).reshape(-1, 2),
         removed=removed,
-        **_walls(wall_ends, wall_parts, removed, resections),
+        **walls(wall_ends, wall_parts, removed, resections),
         paths=tuple(paths),
     )
-
-
-def _inside(region, corners, part, n_parts):
-    """Parts (p,) that lie in the region: it holds the centre of their largest triangle."""
-    if region.is_empty:
-        return np.zeros(n_parts, dtype=bool)
-    area = orient(*corners.swapaxes(0, 1))
-    order = np.lexsort((area, part))
-    largest = order[np.searchsorted(part[order], np.arange(n_parts), side="right") - 1]
-    x, y = corners[largest].mean(axis=1).T
-    shapely.prepare(region)
-    return shapely.contains_xy(region, x, y)
-
-
-def _walls(ends, parts, removed, resections):
-    """Facets (w, 2, 2) mm between parts on their left and right (w, 2), turned to have what stays on the left."""
-    ends, turned = ends.copy(), removed[parts[:, 0]]
-    ends[turned] = ends[turned][:, ::-1]
-    # Regions may have been united, and snapped since: the nearest one took what lay beyond the facet.
-    middles = shapely.points(ends.mean(axis=1))
-    off = [shapely.distance(resection.region, middles) for resection in resections]
-    return {
-        "wall_part": np.where(turned, parts[:, 1], parts[:, 0]),
-        "wall_ends": ends,
-        "wall_resection": np.argmin(off, axis=0) if len(ends) else [],
-    }
 
 
 def _joins(mesh, polygons, part_of):

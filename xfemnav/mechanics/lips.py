@@ -132,7 +132,7 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
         raise XfemnavError(
             "E402",
             f"the tissue that the blade should hold, {start:.1f} to {stop:.1f} mm along cut '{cuts[k].name}', is "
-            "resected; hold another part, or leave the retraction out.",
+            "resected or cut loose; hold another part, or leave the retraction out.",
         )
     return float(left.min()), float(left.max())
 

@@ -38,10 +38,10 @@ class Piece:
 def sort_out(
     space: Space, cuts, resections, retractions, constraints: Constraints, springs, loose: str
 ) -> tuple[Constraints, np.ndarray, tuple[Piece, ...]]:
-    """Conditions that leave nothing loose, the parts (p,) bool that are in no result, and the pieces, largest first.
+    """Conditions that hold what is loose and stays, the parts (p,) bool that are loose and go, and all pieces.
 
-    Resected parts, and crumbs smaller than an element (W311), move nowhere. Larger loose pieces: E306, or with
-    `loose` 'remove' W312, with 'hold' W313; E406 when nothing holds the organ.
+    Resected parts move nowhere. Crumbs smaller than an element go (W311). Larger loose pieces: E306, or with `loose`
+    'remove' they go (W312), with 'hold' they stay (W313). E406 when nothing holds the organ.
     """
     if loose not in LOOSE:
         raise ValueError(f"loose is {loose!r}, not one of {LOOSE}")
@@ -49,20 +49,21 @@ def sort_out(
     area = np.bincount(table.body, np.bincount(sub.part, sub.areas, sub.n_parts))
     bodies = np.unique(table.body[~sub.removed])
     bodies = bodies[np.argsort(-area[bodies], kind="stable")]
+    crumb = area[bodies] < np.median(space.mesh.areas)
     free = [free_motions(space, constraints, springs, body) for body in bodies]
-    if all(motions.shape[1] for motions in free) and (len(bodies) == 1 or loose != "refuse"):
+    if all(motions.shape[1] for motions in free) and ((~crumb).sum() < 2 or loose != "refuse"):
         raise XfemnavError(
             "E406",
             "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
             "use --skull fixed, or hold a lip.",
         )
-    removed, held, pieces, crumbs = sub.removed.copy(), [], [], []
+    removed, held, pieces, crumbs = np.zeros(sub.n_parts, dtype=bool), [], [], []
     for k, (body, motions) in reversed(list(enumerate(zip(bodies, free)))):
-        parts, fate, is_crumb = table.body == body, "fixed", area[body] < np.median(space.mesh.areas)
+        parts, fate = table.body == body, "fixed"
         if motions.shape[1]:
-            fate = "removed" if is_crumb or (loose == "remove" and k > 0) else "held" if loose == "hold" else "refused"
+            fate = "removed" if crumb[k] or (loose == "remove" and k > 0) else "held" if loose == "hold" else "refused"
             what = f"{area[body]:.3g} mm2 ({100 * area[body] / area[bodies].sum():.2g} % of the tissue)"
-            if is_crumb:
+            if crumb[k]:
                 crumbs.append(f"{what} about {_mm(_place(sub, parts))}")
             else:
                 _tell(space, cuts, resections, retractions, parts, what, fate)
@@ -70,12 +71,13 @@ def sort_out(
             held.append(_held_at_mean(space, parts, motions))
         removed |= parts & (fate == "removed")
         place = _place(sub, parts)
-        name = "organ" if k == 0 else f"piece {k} about {_mm(place)}"
+        name = "organ" if k == 0 else f"piece about {_mm(place)}"
         pieces.append(Piece(name, float(area[body]), tuple(place.tolist()), fate))
     if crumbs:
         more = f", and {len(crumbs) - 1} smaller ones" if len(crumbs) > 1 else ""
         warn("W311", f"a loose piece of {crumbs[-1]}{more}, under the size of an element, was cut free and removed.")
-    return _without(space, stack([constraints, *held], table.n_dof), removed), removed, tuple(reversed(pieces))
+    conditions = stack([constraints, *held, _at_rest(table, sub.removed)], table.n_dof)
+    return conditions, removed, tuple(reversed(pieces))
 
 
 def _tell(space, cuts, resections, retractions, parts, what, fate):
@@ -85,7 +87,7 @@ def _tell(space, cuts, resections, retractions, parts, what, fate):
     sides = {(sub.lip_cut[lip], side) for side, column in ((1, 0), (-1, 1))
              for lip in np.flatnonzero(parts[sub.lip_parts[:, column]])}
     names = [f"cut '{cuts[k].name}'" for k in sorted({cut for cut, _ in sides})]
-    names += [f"resection '{resections[k].name}'" for k in np.unique(sub.wall_resection[parts[sub.wall_part]])]
+    names += [f"resection '{resections[k].name}'" for k in np.unique(sub.wall_resection[parts[sub.wall_part]]) if k >= 0]
     by = " and ".join(names) or "the mesh"
     pulled = any((r.cut, r.side) in sides for r in retractions)
     if fate == "refused" or (fate == "removed" and pulled):
@@ -139,18 +141,11 @@ def _held_at_mean(space, parts, motions):
     return Constraints(C, np.zeros(C.shape[0]), np.full(C.shape[0], SKULL))
 
 
-def _without(space, constraints, removed):
-    """The conditions with all basis functions of removed parts fixed to 0, and no other condition on those."""
-    table = space.enrichment
-    rows = np.unique(table.dof[removed])
-    if not len(rows):
-        return constraints
-    gone = np.zeros(table.n_rows)
-    gone[rows] = 1.0
-    keep = np.flatnonzero(abs(constraints.C) @ np.repeat(gone, 2) == 0)
+def _at_rest(table, parts):
+    """All basis functions of some parts (p,) bool are 0."""
+    rows = np.unique(table.dof[parts])
     pick = csr_array((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), table.n_rows))
-    left = Constraints(constraints.C[keep], constraints.d[keep], constraints.group[keep])
-    return stack([left, vector_rows(pick, np.zeros((len(rows), 2)), SKULL)], table.n_dof)
+    return vector_rows(pick, np.zeros((len(rows), 2)), SKULL)
 
 
 def _place(sub, parts):

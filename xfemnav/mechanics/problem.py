@@ -1,5 +1,6 @@
 """Pose the mechanical problem: mesh, cuts, tissue, skull and retractors as matrices and vectors."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.sparse import csr_array
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array
+from xfemnav.geometry.removal import take_out
 from xfemnav.geometry.resection import Resection
 from xfemnav.geometry.snapping import SNAP
 from xfemnav.geometry.subcells import Subcells, embed
@@ -38,7 +40,8 @@ class Problem:
 
     springs: the skull's ramp and the terms of Nitsche's condition, as stiffness, among them those by which `hung` holds
     what else only touches; spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts that are
-    resected or loose, not in the result; pieces: the bodies of tissue that cuts and resections leave, largest first.
+    resected or loose, not in the result; pieces: the bodies of tissue that cuts and resections leave, largest first,
+    those removed last.
     With the 'neo-hookean' model the tissue's stored energy takes the place of 1/2 U'KU.
     """
 
@@ -147,35 +150,40 @@ def pose(
             f"Poisson's ratio {poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
             "or displacement may be over 5 % off; use 0.45 to 0.48, or smaller elements.",
         )
-    subcells = embed(mesh, cuts, resections)
+    subcells, taken = embed(mesh, cuts, resections), []
     space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
     _refuse_cuts_without_lips(space, cuts, resections)
     _warn_of_lost_cuts(space, cuts)
-    n_dof = space.enrichment.n_dof
-    spans = _spans(space, cuts, retractions, lip_constraint)
-    _refuse_overlap(cuts, retractions, spans)
-    _refuse_swapped(space, cuts, retractions, spans)
     mouths = [path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]
     mouths = np.array([*mouths, *craniotomies]).reshape(-1, 2)
-    outline = skull_conditions(space, skull, mouths, material, boundary_displacement, boundary_weight)
-    conditions, springs = [outline.constraints], outline.springs
-    load = outline.load + dead_loads(space, gravity, pressures)
-    for group, (retraction, span) in enumerate(zip(retractions, spans)):
-        if not retraction.holds:
-            load += lip_load(space, retraction, span)
-        elif lip_constraint == "nitsche":
-            terms, forces = nitsche_terms(space, material, retraction, span)
-            springs, load = csr_array(springs + terms), load + forces
-        else:
-            conditions.append(lip_rows(space, retraction, span, group, lip_constraint, hold_tip))
-    weak = hung(space, stack(conditions, n_dof), springs, outline.weak)
-    springs = springs if weak is None else csr_array(springs + weak)
-    constraints, removed, pieces = sort_out(
-        space, cuts, resections, retractions, stack(conditions, n_dof), springs, loose
-    )
+    while True:  # again without the loose pieces, until there are none
+        n_dof = space.enrichment.n_dof
+        spans = _spans(space, cuts, retractions, lip_constraint, again=bool(taken))
+        _refuse_overlap(cuts, retractions, spans)
+        _refuse_swapped(space, cuts, retractions, spans)
+        outline = skull_conditions(space, skull, mouths, material, boundary_displacement, boundary_weight)
+        conditions, springs = [outline.constraints], outline.springs
+        load = outline.load + dead_loads(space, gravity, pressures)
+        for group, (retraction, span) in enumerate(zip(retractions, spans)):
+            if not retraction.holds:
+                load += lip_load(space, retraction, span)
+            elif lip_constraint == "nitsche":
+                terms, forces = nitsche_terms(space, material, retraction, span)
+                springs, load = csr_array(springs + terms), load + forces
+            else:
+                conditions.append(lip_rows(space, retraction, span, group, lip_constraint, hold_tip))
+        weak = hung(space, stack(conditions, n_dof), springs, outline.weak)
+        springs = springs if weak is None else csr_array(springs + weak)
+        conditions = stack(conditions, n_dof)
+        constraints, gone, pieces = sort_out(space, cuts, resections, retractions, conditions, springs, loose)
+        if not gone.any():
+            break
+        taken.extend(piece for piece in pieces if piece.fate == "removed")
+        subcells = take_out(subcells, gone)
+        space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
     contacts = [outline.contacts]
     if lips == "contact":
-        contacts.append(lip_contacts(space, retractions, spans, removed))
+        contacts.append(lip_contacts(space, retractions, spans, subcells.removed))
     contacts = join(contacts, n_dof)
     return Problem(
         space,
@@ -187,7 +195,7 @@ def pose(
         constraints,
         springs,
         load,
-        removed,
+        subcells.removed,
         tip_enrichment,
         lip_constraint,
         hold_tip,
@@ -195,7 +203,7 @@ def pose(
         hung=weak,
         model=model,
         resections=resections,
-        pieces=pieces,
+        pieces=(*pieces, *sorted(taken, key=lambda piece: -piece.area_mm2)),
     )
 
 
@@ -233,12 +241,17 @@ def _warn_of_lost_cuts(space, cuts):
             )
 
 
-def _spans(space, cuts, retractions, lip_constraint):
+def _spans(space, cuts, retractions, lip_constraint, again):
     """Held part (r, 2) mm of each lip; for pointwise rows without a blade the whole lip, as in the paper."""
-    spans = [
-        (0.0, np.inf) if lip_constraint == "pointwise" and r.holds and r.blade is None else held_span(space, cuts, r)
-        for r in retractions
-    ]
+    with warnings.catch_warnings():
+        if again:
+            warnings.simplefilter("ignore")
+        spans = [
+            (0.0, np.inf)
+            if lip_constraint == "pointwise" and r.holds and r.blade is None
+            else held_span(space, cuts, r)
+            for r in retractions
+        ]
     return np.array(spans).reshape(-1, 2)
 
 
