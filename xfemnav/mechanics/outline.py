@@ -12,35 +12,21 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.mechanics.arcs import Arc, check_kind, facet_kinds
 from xfemnav.mechanics.constraints import SKULL, Constraints, normal_rows, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material, Tissue
-from xfemnav.mechanics.measured import MEASURED_OFF_MM, measured_at
+from xfemnav.mechanics.measured import measured_at
 from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.pieces import free_motions
 from xfemnav.mechanics.rim import rim_points, rim_quadrature
 from xfemnav.mechanics.space import Space
 
-KINDS = ("fixed", "sliding", "free", "contact")
 #: Length over which the skull's springs reach the tissue's own stiffness: k = (E / RAMP_STIFFNESS_MM) x / (1 - x).
 RAMP_STIFFNESS_MM = 2.0
 #: Penalty, in units of M / h, on the held part of a facet that begins free.
 STRADDLE_PENALTY = 1.5
 #: Springs, in units of E / mm, on what nothing but contact holds.
 WEAK = 1e-6
-
-
-@dataclass(frozen=True)
-class Arc:
-    """A part of the outline with a kind of its own, counter-clockwise from the outline's point nearest to `start` to
-    the one nearest to `end` (2,) mm; `gap_mm` for contact."""
-
-    start: tuple[float, float]
-    end: tuple[float, float]
-    kind: str
-    gap_mm: float = 0.0
-
-    def __post_init__(self):
-        _check(self.kind, self.gap_mm)
 
 
 @dataclass(frozen=True)
@@ -63,7 +49,7 @@ class Skull:
     arcs: tuple[Arc, ...] = ()
 
     def __post_init__(self):
-        _check(self.kind, self.gap_mm)
+        check_kind(self.kind, self.gap_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +84,6 @@ def hung(space: Space, constraints: Constraints, springs, weak) -> csr_array | N
     return csr_array(weak.multiply(own[:, None]).multiply(own[None, :]))
 
 
-def _check(kind, gap_mm):
-    if kind not in KINDS:
-        raise ValueError(f"skull {kind!r} is not {', '.join(KINDS[:-1])} or {KINDS[-1]}")
-    if not 0 <= gap_mm < np.inf:
-        raise XfemnavError("E409", f"the gap to the skull is {gap_mm:g} mm; give a length of 0 mm or more.")
-
-
 def skull_conditions(
     space: Space, skull: Skull, mouths, material: Material | Tissue, measured=None, weight: float | None = None
 ) -> OutlineConditions:
@@ -117,7 +96,7 @@ def skull_conditions(
     """
     n_dof = space.enrichment.n_dof
     rim = rim_points(space)
-    kinds, gaps = _facet_kinds(space, skull)
+    kinds, gaps = facet_kinds(space, skull.kind, skull.gap_mm, skull.arcs)
     known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
     if measured is not None:
         known, values = measured_at(space, rim, np.asarray(measured, float))
@@ -141,31 +120,6 @@ def skull_conditions(
     contacts = _contacts(space, rim, touching, gaps[rim.facet])
     weak = np.flatnonzero(touching[:b] | touching[b : 2 * b])
     return OutlineConditions(stack(parts, n_dof), springs, load, contacts, _weak(space, weak, material))
-
-
-def _facet_kinds(space, skull):
-    """Kind (b,) and gap (b,) mm of every facet of the outline; an arc has those whose middles lie in it."""
-    sub, mesh = space.subcells, space.mesh
-    kinds = np.full(len(sub.rim_ends), skull.kind, dtype=object)
-    gaps = np.full(len(kinds), float(skull.gap_mm))
-    if not skull.arcs:
-        return kinds, gaps
-    outline = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
-    middles = shapely.points(sub.rim_ends.mean(axis=1))
-    on = shapely.distance(outline, middles) < 1e-6
-    at = shapely.line_locate_point(outline, middles)
-    for arc in skull.arcs:
-        ends = shapely.points(np.array([arc.start, arc.end], float))
-        off = shapely.distance(outline, ends)
-        where = f"arc from ({arc.start[0]:.1f}, {arc.start[1]:.1f}) to ({arc.end[0]:.1f}, {arc.end[1]:.1f}) mm"
-        if not (off <= MEASURED_OFF_MM).all():
-            raise XfemnavError("E409", f"the {where} ends {np.max(off):.1f} mm from the outline; check its frame.")
-        start, end = shapely.line_locate_point(outline, ends)
-        own = on & (np.mod(at - start, outline.length) < np.mod(end - start, outline.length))
-        if not own.any():
-            raise XfemnavError("E409", f"the {where} is shorter than the outline's facets; give ends farther apart.")
-        kinds[own], gaps[own] = arc.kind, arc.gap_mm
-    return kinds, gaps
 
 
 class _Depth:
