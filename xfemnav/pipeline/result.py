@@ -1,5 +1,6 @@
 """The Python face: run, then ask where tissue is and where it was."""
 
+import tempfile
 from functools import cached_property
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.pipeline import job
 from xfemnav.pipeline.config import STAGES, configure
+from xfemnav.pipeline.disk import write_atomic
 from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.runfile import read_record
 
@@ -55,19 +57,21 @@ class Result:
     """A finished run: its folder, its `record` (run.json), and the motion of the tissue.
 
     Points are (2,) or (n, 2) plane mm, or (3,) or (n, 3) world RAS mm; results have the same form, and are NaN where
-    there is no tissue. A cut is two-valued: `side` says which lip, "left" (+1) or "right" (-1).
+    there is no tissue. A cut is two-valued: `side` says which lip, "left" (+1) or "right" (-1). A run with steps is as
+    it is after `step`, the last one unless another is named.
     """
 
-    def __init__(self, folder: Path, record: dict):
+    def __init__(self, folder: Path, record: dict, step: str | None = None):
         if "solution" not in record["outputs"]:
             raise XfemnavError("E701", f"the run in {folder} ({record['status']}) has no solution. Run it again.")
         self.folder, self.record = Path(folder), record
+        self._solution, self._cuts = _step_of(record, step)
         settle_kernel_cache()  # before `motion` imports kernels
 
     @classmethod
-    def load(cls, folder) -> "Result":
-        """The result in an output folder. Raises E100 and E701."""
-        return cls(Path(folder), read_record(Path(folder)))
+    def load(cls, folder, step: str | None = None) -> "Result":
+        """The result in an output folder, after a step of the run. Raises E100, E701, and E780 for an unknown step."""
+        return cls(Path(folder), read_record(Path(folder)), step)
 
     @property
     def trusted(self) -> bool:
@@ -83,13 +87,35 @@ class Result:
         return take_slice(read_image(self._path("mask")), plane=self.record["slice"]["plane"])
 
     @cached_property
+    def organ(self):
+        """The whole organ at rest, also what was resected: the Mesh of the run, plane mm."""
+        from xfemnav.geometry.mesh import Mesh
+        from xfemnav.pipeline.files import read_vtu
+
+        found, cells = read_vtu(self._path("mesh"), "E701")
+        return Mesh(self.frame.from_world(found.points)[0], cells)
+
+    @cached_property
     def motion(self):
         """The map of the tissue, in plane coordinates: a PiecewiseAffineMap."""
         from xfemnav.geometry.affine_map import PiecewiseAffineMap
         from xfemnav.pipeline.files import read_soup
 
-        rest, moved = read_soup(self._path("solution"), self.frame)
-        return PiecewiseAffineMap(rest, moved, tuple(np.array(cut["path"]) for cut in self.record["cuts"]))
+        rest, moved = read_soup(self._path(self._solution), self.frame)
+        return PiecewiseAffineMap(rest, moved, tuple(np.array(cut["path"]) for cut in self._cuts))
+
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """The organ's outline now, a closed loop (k, 2) plane mm, its mouths bridged by straight lines."""
+        from xfemnav.geometry.moved_outline import moved_outline
+
+        loop = self.organ.points[self.organ.boundary_loops[0]]
+        return moved_outline(loop, self.motion.rest, self.motion.moved)
+
+    @cached_property
+    def update(self):
+        """What became of each pixel of the slice: an Update, whose image is the organ's mask."""
+        return self._updated(self.frame.values)
 
     def to_preoperative(self, points) -> np.ndarray:
         """Where the tissue that is now at `points` was in the preoperative image."""
@@ -103,35 +129,81 @@ class Result:
         """Displacement, mm, of the tissue that was at `points`."""
         return self.to_current(points, side) - np.asarray(points, float)
 
-    def warp(self, image, *, interp: str = "linear", outside: str = "keep", fill: float = 0.0):
+    def landmarks(self, points, side=None, *, inverse: bool = False):
+        """Landmarks through the motion, each with a flag of what it is in: MovedPoints of `xfemnav.imaging.landmarks`.
+
+        From the preoperative image to now, on the lip of `side` where they are on a cut; with `inverse` from now back.
+        """
+        from xfemnav.imaging.landmarks import moved_points, resting_points
+
+        if inverse:
+            return resting_points(points, self.frame, self.motion, self.outline)
+        return moved_points(points, self.frame, self.motion, self.organ.corners, SIDES.get(side, side))
+
+    def streamlines(self, path):
+        """The tractogram in a .trk or .tck file after the motion: MovedStreamlines of `xfemnav.imaging.streamlines`."""
+        from xfemnav.imaging.streamlines import move_streamlines
+        from xfemnav.imaging.tract_files import read_streamlines
+
+        return move_streamlines(read_streamlines(path), self.frame, self.motion, self.organ.corners)
+
+    def warp(self, image, *, kind: str | None = None, interp: str = "linear", outside: str = "keep",
+             fill: float = 0.0, axes: str = "world"):
         """Another image of the patient after the motion.
 
-        A path of an image on the same grid gives a nibabel image; an array (n1, n2) along e1 and e2 gives an array.
+        The path of an image on any grid in the preoperative image's world gives a nibabel image on the grid of the
+        run's slice. `kind` is continuous (the default for one value a voxel), label, vector or tensor, whose `axes` are
+        "world" or "image"; pixels outside of the organ are kept, or 0 with `outside="zero"`, and those that tissue has
+        left get `fill`. An array (n1, n2) along e1 and e2 of the run's slice gives an array.
         """
-        from xfemnav.imaging.reading import read_image
-        from xfemnav.imaging.slices import to_nifti, values_on
-        from xfemnav.imaging.warp import covered, pull_back, update
+        from xfemnav.imaging.companions import carry
 
-        from_file = isinstance(image, str | Path)
-        values = values_on(read_image(image), self.frame) if from_file else np.asarray(image)
-        grid = self.frame.origin, self.frame.spacing, self.frame.values.shape
-        motion = pull_back(self.motion.rest, self.motion.moved, *grid)
-        updated = update(values, *grid[:2], covered(self.motion.rest, *grid), motion, interp, outside, fill).updated
-        return to_nifti(self.frame, updated, updated.dtype) if from_file else updated
+        if not isinstance(image, str | Path):
+            return self._updated(image, interp, outside, fill).updated
+        return carry(_read(Path(image), kind), self.frame, self.update, kind=kind or "continuous", interp=interp,
+                     outside=outside, fill=fill, axes=axes)
 
-    def write_transform(self, path, *, gaps: str = "bridged") -> None:
-        """Write the motion as an ITK transform (.h5) from the updated to the preoperative slice.
+    def write_transform(self, path, *, gaps: str = "bridged", direction: str = "backward") -> None:
+        """Write the motion as a file for other programs: .h5 (an ITK transform), .nrrd or .nii.gz (fields).
 
-        `gaps`: "bridged" runs from lip to lip across an opened cut, for viewers; "extended" goes on with the lips for a
-        pixel and then out of the image, so that resampling (ANTs, SimpleITK) loses no tissue and gives background.
+        `direction`: "backward" maps places in the updated slice to the preoperative one, as resampling an image needs;
+        "forward" maps tissue at rest to where it is now, as points need. `gaps`, of backward ones: "bridged" runs from
+        lip to lip across an opened cut, for viewers; "extended" goes on with the lips for a pixel and then out of the
+        image, so that resampling (ANTs, SimpleITK) loses no tissue and gives background. Raises E780 for another
+        suffix, E501 and E502.
         """
-        from xfemnav.imaging.transform import bridged, extended, write_transform
-        from xfemnav.imaging.warp import covered, pull_back
+        from xfemnav.imaging.transform import backward, forward, roomy
+
+        suffix = next((end for end in TRANSFORMS if str(path).lower().endswith(end)), None)
+        if suffix is None:
+            raise XfemnavError("E780", f"{path} has no suffix of a transform; give one of {', '.join(TRANSFORMS)}.")
+        rest, moved, organ = self.motion.rest, self.motion.moved, self.organ.corners
+        if direction == "backward":
+            frame = roomy(self.frame, np.concatenate([organ, moved]))
+            field = backward(frame, organ, rest, moved, gaps)
+        elif direction == "forward":
+            frame = roomy(self.frame, organ)
+            field = forward(frame, rest, moved)
+        else:
+            raise ValueError(f"direction is {direction!r}, wanted backward or forward")
+        with tempfile.TemporaryDirectory(prefix="xfemnav-") as scratch:
+            made = Path(scratch) / f"transform{suffix}"
+            TRANSFORMS[suffix](made, frame, field, {"backward": "resampling", "forward": "modeling"}[direction])
+            write_atomic(Path(path), made.read_bytes())
+
+    def _updated(self, values, interp: str = "nearest", outside: str = "keep", fill: float = 0.0):
+        from xfemnav.imaging.warp import covered, enclosed, update
 
         grid = self.frame.origin, self.frame.spacing, self.frame.values.shape
-        motion = pull_back(self.motion.rest, self.motion.moved, *grid)
-        empty = covered(self.motion.rest, *grid) & ~motion.tissue
-        write_transform(path, self.frame, {"bridged": bridged, "extended": extended}[gaps](motion, empty))
+        return update(values, *grid[:2], covered(self.organ.corners, *grid), self._pull_back, interp, outside, fill,
+                      now=enclosed(self.outline, *grid))
+
+    @cached_property
+    def _pull_back(self):
+        from xfemnav.imaging.warp import pull_back
+
+        frame = self.frame
+        return pull_back(self.motion.rest, self.motion.moved, frame.origin, frame.spacing, frame.values.shape)
 
     def _mapped(self, points, move) -> np.ndarray:
         points = np.asarray(points, float)
@@ -143,3 +215,58 @@ class Result:
 
     def _path(self, role: str) -> Path:
         return self.folder / self.record["outputs"][role]
+
+
+def _step_of(record: dict, step: str | None) -> tuple[str, list]:
+    """The role of the solution after a step, and the cuts that act then. Raises E780 for an unknown step."""
+    if step is None:
+        return "solution", record["cuts"]
+    names = [item["name"] for item in record.get("steps", ())]
+    if step not in names:
+        known = f"its steps are {', '.join(names)}" if names else "it has none"
+        raise XfemnavError("E780", f"the run has no step {step!r}: {known}.")
+    last = step == names[-1]
+    return "solution" if last else f"solution:{step}", record["steps"][names.index(step)]["cuts"]
+
+
+def _read(path: Path, kind: str | None):
+    """The image at `path`, with all its values a voxel where its kind has several; NaN is background.
+
+    Raises E131 for several values of no stated kind.
+    """
+    from xfemnav.imaging.reading import read_components, read_image
+
+    if kind in ("vector", "tensor"):
+        return read_components(path, nan=0.0)
+    try:
+        return read_image(path, nan=0.0)
+    except XfemnavError as error:
+        if error.code not in ("E121", "E122"):
+            raise
+        if kind is None:
+            raise XfemnavError("E131", f"{path.name} holds several values a voxel. Say what they are: continuous, "
+                                       "vector or tensor.") from None
+        return read_components(path, nan=0.0)
+
+
+def _write_h5(path, frame, field, meaning) -> None:
+    from xfemnav.imaging.transform import write_transform
+
+    write_transform(path, frame, field)
+
+
+def _write_nrrd(path, frame, field, meaning) -> None:
+    from xfemnav.imaging.vectors import write_nrrd
+
+    write_nrrd(path, frame, field, meaning)
+
+
+def _write_nifti(path, frame, field, meaning) -> None:
+    from xfemnav.imaging.vectors import field_nifti
+    from xfemnav.pipeline.files import write_nifti
+
+    write_nifti(path, field_nifti(frame, field))
+
+
+#: Suffix of a transform's file: its writer.
+TRANSFORMS = {".h5": _write_h5, ".nrrd": _write_nrrd, ".nii.gz": _write_nifti}
