@@ -69,9 +69,10 @@ def soup(incision: Incision) -> Soup:
     rest, part = rest[chosen], part[chosen]
     whole = np.ones(len(incision.organ.mesh.cells), dtype=bool)
     whole[window.cells[cells]] = False
-    beside = near_cells(incision.organ.mesh, np.concatenate(sub.paths))
+    beside = near_cells(incision.organ.mesh, np.concatenate([cut.path for cut in incision.cuts]))
     return Soup(incision.organ, np.flatnonzero(whole), rest,
-                space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3)), beside[whole[beside]], sub.paths)
+                space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3)), beside[whole[beside]],
+                tuple(cut.path for cut in incision.cuts))
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,8 +38,8 @@ class Session:
     >>> session.cut([[0, 75], [0, 30]])
     >>> session.open(left=3.0, right=3.0)  # mm, away from the other lip
     >>> left, right = (session.displacement([0.0, 60.0], side) for side in ("left", "right"))
-    >>> print(f"{left[0] - right[0]:.1f} mm apart")
-    6.0 mm apart
+    >>> print(f"{left[0] - right[0]:.0f} mm apart")
+    6 mm apart
     """
 
     def __init__(self, image=None, *, corridor=None, scenario=None, reach_mm: float = 6.0, **flags):

@@ -1,0 +1,178 @@
+"""A session answers as runs do: the same cut, blades, image and forces, whatever moved before; and what it refuses."""
+
+import doctest
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from small import CUT, brain, write
+
+import xfemnav
+from xfemnav import Session, XfemnavError
+from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.cut import place_cut
+from xfemnav.imaging.warp import covered, pull_back, update
+from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.lips import Retraction
+from xfemnav.mechanics.outline import Skull
+from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.solution import solve
+from xfemnav.pipeline import session as module
+
+COARSE = {"element_size_mm": 6.0, "corridor_element_mm": 2.0}
+PLAN = np.array([[-60.0, 10.0], [-15.0, 5.0]])
+# The mark of a live answer: far above rounding (1e-12 mm here), far below what matters.
+SAME_MM = 1e-9
+pytestmark = pytest.mark.filterwarnings("ignore:W404", "ignore:W402")
+
+
+@pytest.fixture(scope="module")
+def head(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("session") / "head.nii.gz")
+
+
+@pytest.fixture(scope="module")
+def session(head):
+    return Session(head, corridor=CUT, **COARSE)
+
+
+def solved(session, path, moves, blade=(0.0, 0.8)):
+    """The batch's answer on the session's mesh; moves {side: (dx, dy) or mm}."""
+    cut = place_cut(path, session.mesh.points[session.mesh.boundary_loops[0]])
+    blades = tuple(Retraction(0, side, blade=blade, **({"normal_mm": move} if np.isscalar(move) else
+                                                       {"displacement_mm": move})) for side, move in moves.items())
+    return solve(pose(session.mesh, (cut,), Material(), Skull(), blades)), cut
+
+
+def assert_answers(session, path, moves, blade=(0.0, 0.8)):
+    whole, cut = solved(session, path, moves, blade)
+    assert_allclose(session.nodes, whole.U[: len(session.mesh.points)], atol=SAME_MM)
+    motion = PiecewiseAffineMap(whole.rest, whole.moved, (cut.path,))
+    points = np.random.default_rng(0).uniform((-50, -60), (50, 60), (400, 2))
+    assert_allclose(session.to_current(points), motion.to_current(points), atol=SAME_MM)
+    on_the_cut = np.array([cut.at(t) for t in np.linspace(0.02, 0.98, 40)])
+    for name, side in (("left", 1), ("right", -1)):
+        assert_allclose(session.to_current(on_the_cut, name), motion.to_current(on_the_cut, side), atol=SAME_MM)
+    found = session.forces()
+    for blade in whole.retractor:
+        live = found[{1: "left", -1: "right"}[blade.side]]
+        scale = np.abs(blade.force_mN_per_mm).max()
+        assert_allclose(live.force_mN_per_mm, blade.force_mN_per_mm, atol=1e-7 * scale)
+        assert live.mean_pressure_kPa == pytest.approx(blade.mean_pressure_kPa, rel=1e-7)
+    return whole
+
+
+def test_example_of_the_documentation():
+    found = doctest.testmod(module)
+    assert found.attempted > 4 and found.failed == 0
+
+
+def test_cuts_and_blades_one_after_the_other(session):
+    """Moved, opened, held elsewhere, lengthened: nothing of what was before is left."""
+    rng = np.random.default_rng(2)
+    for _ in range(3):
+        path = PLAN + rng.uniform(-4, 4, (2, 2))
+        session.cut(path)
+        session.open(left=(1.5, 2.5), right=(-1.0, -2.0))
+        assert_answers(session, path, {1: (1.5, 2.5), -1: (-1.0, -2.0)})
+        session.open(left=2.0, right=1.0)
+        assert_answers(session, path, {1: 2.0, -1: 1.0})
+    session.open(left=2.5, blade=(0.1, 0.6))
+    assert_answers(session, path, {1: 2.5}, (0.1, 0.6))
+    session.extend_cut([-8.0, 3.0])
+    assert_answers(session, np.vstack([path, [-8.0, 3.0]]), {1: 2.5}, (0.1, 0.6))
+    session.open(right=-1.0)  # pushed onto the left lip, which presses back
+    assert session.motion is not None
+    assert assert_answers(session, np.vstack([path, [-8.0, 3.0]]), {-1: -1.0}).contact_force.max() > 0
+
+
+def test_a_cut_that_moves_keeps_its_blades(session):
+    session.cut(PLAN)
+    session.open(left=(1.5, 2.0), right=(-1.0, -2.0))
+    session.cut(PLAN + np.array([0.0, 2.5]))
+    assert_answers(session, PLAN + np.array([0.0, 2.5]), {1: (1.5, 2.0), -1: (-1.0, -2.0)})
+
+
+def test_blades_answer_in_proportion_and_add_up(session):
+    session.cut(PLAN)
+    fields = []
+    for left, right in ((1.0, 0.5), (2.0, 1.0), ((0.0, 1.5), (0.5, -1.0)), ((0.0, 3.0), (1.0, -2.0))):
+        session.open(left=left, right=right)
+        fields.append(session.nodes)
+    for one, two in (fields[:2], fields[2:]):
+        assert_allclose(2 * one, two, atol=1e-12)
+
+
+def test_the_image_is_that_of_the_stages(session):
+    session.cut(PLAN + np.array([0.0, -1.0]))
+    session.open(left=2.0, right=2.0)
+    whole, _ = solved(session, PLAN + np.array([0.0, -1.0]), {1: 2.0, -1: 2.0})
+    grid = session.frame.origin, session.frame.spacing, session.frame.values.shape
+    pulled = pull_back(whole.rest, whole.moved, *grid)
+    organ = covered(session.mesh.corners, *grid)
+    # Grey values change by some hundred a pixel, so places 1e-9 mm apart give values 1e-7 apart; images are float32.
+    expected = update(session.frame.values, *grid[:2], organ, pulled).updated
+    assert_allclose(session.image(), expected, atol=1e-3)
+    companion = np.random.default_rng(0).normal(size=grid[2])
+    assert_allclose(session.image(companion), update(companion, *grid[:2], organ, pulled).updated, atol=1e-5)
+    assert np.abs(session.image() - session.frame.values).max() > 100
+
+
+def test_a_session_and_a_run_of_one_image(head, tmp_path):
+    """Segmentation, mesh, cut and warp: the session's slice is that of the run."""
+    flags = {"slice": 0} | COARSE
+    result = xfemnav.run(head, cut=CUT, left=(0.5, 2.5), right=(-0.5, -2.5), output=tmp_path / "out",
+                         cache=tmp_path / "cache", report=False, **flags)
+    session = Session(head, corridor=CUT, **flags)
+    session.cut(CUT)
+    session.open(left=(0.5, 2.5), right=(-0.5, -2.5))
+    assert_allclose(session.image(), result.warp(brain()), atol=1e-3)
+    points = np.random.default_rng(1).uniform((-30, -40), (30, 40), (100, 2))
+    world = np.column_stack([points, np.full(100, 10.0)])
+    assert_allclose(session.to_current(world), result.to_current(world), atol=SAME_MM)
+    assert_allclose(session.to_preoperative(points), result.to_preoperative(points), atol=SAME_MM)
+
+
+def test_an_organ_at_rest_stays_where_it_is(head):
+    session = Session(head, corridor=CUT, **COARSE)
+    points = np.array([[0.0, 0.0], [-20.0, 8.0], [100.0, 0.0]])
+    assert_allclose(session.displacement(points), [[0, 0], [0, 0], [np.nan, np.nan]], atol=1e-14)
+    assert np.array_equal(session.image(), session.frame.values.astype(np.float32))
+    assert session.forces() == {} and session.inverted_mm2 == 0
+
+
+def test_a_mouth_elsewhere_condenses_the_organ_anew(head):
+    session = Session(head, corridor=CUT, **COARSE)
+    path = np.array([[0.0, 70.0], [2.0, 20.0]])
+    with pytest.warns(xfemnav.XfemnavWarning, match="W315"):
+        session.cut(path)
+    session.open(left=2.0, right=2.0)
+    assert_answers(session, path, {1: 2.0, -1: 2.0})
+
+
+def test_what_a_session_cannot_do_is_named(session, head):
+    for flags in ({"left": (3, 1)}, {"skull": "free"}, {"lip_constraint": "nitsche"}, {"model": "neo-hookean"},
+                  {"gravity": (0, -1)}):
+        with pytest.raises(XfemnavError, match="E780"):
+            Session(head, corridor=CUT, **COARSE, **flags)
+    with pytest.raises(XfemnavError, match="plan"):
+        Session(head, **COARSE)
+    session.cut(PLAN)
+    for moves in ({"left": (1, 2, 3)}, {"left": np.nan}):
+        with pytest.raises(XfemnavError, match="E780"):
+            session.open(**moves)
+    with pytest.raises(XfemnavError, match="E405"):
+        session.open(left=-2.0, right=1.0)
+    with pytest.raises(XfemnavError, match="E301"):
+        session.cut([[-80.0, 0.0], [-70.0, 0.0]])
+    with pytest.raises(XfemnavError, match="E314"):
+        session.cut([[-60.0, 10.0], [-30.0, 8.0], [-60.0, 0.0]])
+    with pytest.raises(XfemnavError, match="E130"):
+        session.image(np.zeros((3, 3)))
+
+
+def test_what_needs_a_cut_or_an_image_says_so(session):
+    bare = Session(session.mesh, corridor=PLAN)
+    for refused in (lambda: bare.open(left=1.0), lambda: bare.extend_cut([0, 0]), bare.image):
+        with pytest.raises(XfemnavError, match="E780"):
+            refused()
