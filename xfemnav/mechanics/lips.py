@@ -192,6 +192,12 @@ def pointwise_rows(space: Space, retraction: Retraction, span, group: int, hold_
     """Eqs. (5) and (6): u = given at every crossing of the held lip with a mesh edge."""
     points, arc, parts = crossings(space, retraction.cut, retraction.side, hold_tip)
     held = (arc >= span[0] - 1e-9) & (arc <= span[1] + 1e-9)
+    if not held.any():
+        raise XfemnavError(
+            "E402",
+            "a blade holds no place where its cut crosses a mesh edge, so pointwise conditions hold nothing; use a "
+            "longer blade, smaller elements, or --lip-constraint mortar.",
+        )
     path = space.subcells.paths[retraction.cut]
     ends = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     segment = np.clip(np.searchsorted(ends, arc[held], side="right") - 1, 0, len(path) - 2)

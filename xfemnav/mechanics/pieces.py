@@ -87,7 +87,8 @@ def _tell(space, cuts, resections, retractions, parts, what, fate):
     sides = {(sub.lip_cut[lip], side) for side, column in ((1, 0), (-1, 1))
              for lip in np.flatnonzero(parts[sub.lip_parts[:, column]])}
     names = [f"cut '{cuts[k].name}'" for k in sorted({cut for cut, _ in sides})]
-    names += [f"resection '{resections[k].name}'" for k in np.unique(sub.wall_resection[parts[sub.wall_part]]) if k >= 0]
+    holes = np.unique(sub.wall_resection[parts[sub.wall_part]])
+    names += [f"resection '{resections[k].name}'" for k in holes[holes >= 0]]
     by = " and ".join(names) or "the mesh"
     pulled = any((r.cut, r.side) in sides for r in retractions)
     if fate == "refused" or (fate == "removed" and pulled):
