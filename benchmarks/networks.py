@@ -20,7 +20,7 @@ from benchmarks.verification.retraction import uniform
 RESULTS = Path("benchmarks/results/networks.json")
 UNIFORM, GRADED = (2_600, 8_800, 35_000), (2_000, 8_000, 30_000)
 #: Further graded meshes about the size of the mark, and turns of the uniform mesh under the cuts, degrees.
-NEIGHBOURS, TURNS = (7_600, 7_800, 8_200, 8_400), tuple(range(9, 91, 9))
+NEIGHBOURS, TURNS = (7_800, 7_900, 8_100, 8_200), tuple(range(18, 91, 18))
 
 
 def meshes(name: str):
@@ -33,7 +33,8 @@ def meshes(name: str):
         mesh = graded(CASES[name], n)
         yield from (("graded", mesh, e) for e in (both if n == GRADED[1] else both[:1]))
     for n in NEIGHBOURS:
-        yield "graded, neighbours", graded(CASES[name], n), "topological"
+        mesh = graded(CASES[name], n)
+        yield from (("graded, neighbours", mesh, e) for e in both)
     for angle in TURNS:
         yield "uniform, turned", turned(uniform(UNIFORM[1]), angle), "topological"
 

@@ -68,7 +68,9 @@ def graded(network: Network, n: int) -> Mesh:
         return distmesh(disc(), SizeField(2.6 * s, RIM_MM * s, RIM_MM * s, rim, focus, 0.11 * s))
 
     scale = np.sqrt(8_500 / n)
-    return mesh(scale * np.sqrt(len(mesh(scale).points) / n))
+    for _ in range(3):
+        scale *= np.sqrt(len(mesh(scale).points) / n)
+    return mesh(scale)
 
 
 def posed(network: Network, mesh: Mesh, enrichment: str) -> Problem:

@@ -9,6 +9,10 @@ PAGE = Path("docs/networks.md")
 LARGEST, RMS = "max beyond 2 h, mm", "rms beyond 2 h, mm"
 ELSEWHERE = "max beyond 2 h and 6 mm of the switches, mm"
 ENERGY = "strain energy, Pa mm2"
+# Why a mark is not met, printed where it is not.
+FREE_TIP = (
+    "in some meshes, half a millimetre from a free tip, where the elements are .2 mm; geometric tip functions meet it"
+)
 
 TEXT = """# Networks of cuts
 
@@ -25,17 +29,17 @@ and a resection opens nothing, so that both programs solve the same problem.
 ## The marks
 
 Largest error of the displacement farther than two elements from any cut and rim, at one random point of every cell and
-at all nodes. Topological tip enrichment.
+at all nodes. On uniform meshes with topological tip enrichment.
 
 {marks}
-Turned under the cuts by {turns} multiples of 9 degrees, the uniform mesh has its nodes elsewhere about the cuts, the
+Turned under the cuts by {turns} multiples of 18 degrees, the uniform mesh has its nodes elsewhere about the cuts, the
 blade's end and the skull's switch. {turned}
 
 ## The references
 
 *Change*: largest change of displacement from the next coarser refinement, more than .5 mm from cuts and rims. *Effect*:
-largest difference to the disc with the held cut alone, more than 2 mm from them: what a program that lost the further
-cuts or the resection would be wrong by.
+largest difference to the disc with the held cut alone, more than 2 mm from them: the error of a program that lost the
+further cuts or the resection.
 
 {references}
 ## All meshes
@@ -82,14 +86,18 @@ def _marks(results, found):
         title = (NETWORKS | RESECTIONS)[name].title
         row = _select(case, "uniform")[1]
         lines.append(_line(f"{title}: uniform", row["nodes"], 0.17, row[LARGEST]))
-        rows = [_select(case, "graded")[1], *_select(case, "graded, neighbours")]
-        sizes = f"{min(r['nodes'] for r in rows)} to {max(r['nodes'] for r in rows)}"
-        lines.append(_line(f"{title}: graded, worst of {len(rows)} meshes", sizes, 0.03, max(r[LARGEST] for r in rows)))
+        for enrichment in ("topological", "geometric"):
+            near = _select(case, "graded, neighbours", enrichment)
+            rows = [row for row in _select(case, "graded", enrichment) if 7_000 < row["nodes"] < 9_000] + near
+            sizes = f"{min(r['nodes'] for r in rows)} to {max(r['nodes'] for r in rows)}"
+            text = f"{title}: graded, {enrichment}, worst of {len(rows)} meshes"
+            lines.append(_line(text, sizes, 0.03, max(r[LARGEST] for r in rows), FREE_TIP))
     return table(("mark", "nodes", "limit", "measured", ""), lines)
 
 
-def _line(text, nodes, limit, measured):
-    return text, nodes, f"≤ {number(limit)}", number(measured), "met" if measured <= limit else "**not met**"
+def _line(text, nodes, limit, measured, reason=""):
+    verdict = "met" if measured <= limit else f"**not met**: {reason}" if reason else "**not met**"
+    return text, nodes, f"≤ {number(limit)}", number(measured), verdict
 
 
 def _turned(found):
