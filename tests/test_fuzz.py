@@ -74,6 +74,11 @@ def test_voxels_beyond_float32_are_not_written_as_infinite():
     assert fed("nifti", b"\2" + header(nibabel.Nifti2Image, "<i2", [("scl_slope", 0, 1e300)]))
 
 
+def test_separators_that_are_space_to_some_are_space_to_all():
+    """str.strip takes U+001E off a number, float does not."""
+    assert fed("markups", b"x,y,z\n60,-10,7\x1e\n")
+
+
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6) | st.sampled_from(
     words("markups"))
 JSON = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(

@@ -118,9 +118,10 @@ def _at(fields: list[str], k: int) -> str:
 
 def _coordinates(texts: list[str], number: int, file: str) -> list[float]:
     """Numbers of the texts in line `number`."""
-    if not all(NUMBER.fullmatch(text.strip()) for text in texts):
+    numbers = [text.strip() for text in texts]
+    if not all(map(NUMBER.fullmatch, numbers)):
         raise unusable(file, f"has {shown(', '.join(texts))} in line {number} where numbers should be.")
-    return [float(text) for text in texts]
+    return list(map(float, numbers))
 
 
 def _unquoted(token: str) -> str:
