@@ -155,3 +155,13 @@ def test_needles_do_not_spoil_the_value_on_their_edges():
     motion = PiecewiseAffineMap(rest, rest * 1.5)
     points = np.array([[0.7, 0.0], [1.3, thin / 2], [2.0, thin], [3.9, 0.0]]) @ turn.T + [7.1, 3.3]
     assert_allclose(motion.to_current(points), points * 1.5, atol=1e-12)
+
+
+def test_lips_now_are_the_images_of_the_cut():
+    square = np.array([[[0, 0], [4, 0], [4, 3]], [[0, 0], [4, 3], [0, 3]], [[0, -3], [4, -3], [4, 0]],
+                       [[0, -3], [4, 0], [0, 0]]], float)
+    shift = np.array([1, 1, -1, -1])[:, None, None] * np.array([0.0, 0.5])
+    motion = PiecewiseAffineMap(square, square + shift, (np.array([[-1.0, 0.0], [4.0, 0.0]]),))
+    for side in (1, -1):  # travel is along x, so left is above; the point outside of the tissue is left out
+        lip = motion.lip_now(0, side, step_mm=1.0)
+        assert np.allclose(lip, np.stack([np.arange(5.0), np.full(5, 0.5 * side)], axis=1))

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import shapely
 
 from xfemnav.geometry.locate import LIP, Buckets, bucket, locate, locate_beside
 from xfemnav.geometry.mesh import frozen_array
@@ -123,3 +124,9 @@ def _nearest_on(paths, points):
         for near, before in ((start, s[start] - 1), (end, s[end])):
             corner[n[near]] = np.stack([path[before + 1], unit[before + 1], -unit[before]], axis=1)
     return foot, corner, distance
+
+    def lip_now(self, cut: int, side: int, step_mm: float = 1.0) -> np.ndarray:
+        """Where the lip of a cut on the side +1 (left) or -1 is now: points (k, 2) mm along it, without resected ones."""
+        along = shapely.get_coordinates(shapely.segmentize(shapely.LineString(self.cuts[cut]), step_mm))
+        moved = self.to_current(along, side)
+        return moved[np.isfinite(moved[:, 0])]

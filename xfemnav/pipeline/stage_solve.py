@@ -4,7 +4,6 @@ from xfemnav.pipeline.stage import INVERTED_LIMIT_MM2
 
 # Linear strains grow as r^-1/2 at a tip, so a speck of tissue there is inverted at any opening: this much is no news.
 FOLDED_NOTICE_MM2 = 0.01
-LIP_STEP_MM = 1.0  # between the points of a lip that is written
 SIDES = (("left", 1), ("right", -1))
 
 
@@ -83,17 +82,12 @@ def publish(value, inputs, folder):
 
 def _drawn(slice, problem, solution):
     """Each cut at rest, and its two lips now, as curves of point sets in the world."""
-    import numpy as np
-    import shapely
-
     from xfemnav.geometry.affine_map import PiecewiseAffineMap
     from xfemnav.imaging.points import PointSet
 
     motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
-    for cut, path in zip(problem.cuts, problem.subcells.paths):
-        along = shapely.get_coordinates(shapely.segmentize(shapely.LineString(path), LIP_STEP_MM))
-        lips = ((f"{cut.name}, {name} lip now", motion.to_current(along, side)) for name, side in SIDES)
+    for k, (cut, path) in enumerate(zip(problem.cuts, problem.subcells.paths)):
+        lips = ((f"{cut.name}, {name} lip now", motion.lip_now(k, side)) for name, side in SIDES)
         for name, points in ((cut.name, path), *lips):
-            points = points[np.isfinite(points[:, 0])]  # a lip may be resected
-            if len(points) > 1:
+            if len(points) > 1:  # a lip may be resected
                 yield PointSet("Curve", name, slice.to_world(points), ("",) * len(points))
