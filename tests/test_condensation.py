@@ -15,7 +15,7 @@ from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
 from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
 from xfemnav.mechanics.lip_modes import lip_modes
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.live_motion import LiveMotion, soup
+from xfemnav.mechanics.live_motion import LiveMotion, Soup
 from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.solution import solve
@@ -49,7 +49,7 @@ def both(mesh, organ, cut, left, right, lips="contact", **how):
     if lips == "contact" and (pressing := modes.pressing(amounts)) is not None:
         answer = answer + pressing
     U, own = (field[..., 0] for field in incision.expand(answer.u[:, None]))
-    return whole, LiveMotion(soup(incision), U, own), answer
+    return whole, LiveMotion(Soup(organ, incision), U, own), answer
 
 
 def assert_same(mesh, whole, live, answer):

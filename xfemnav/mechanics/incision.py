@@ -7,12 +7,12 @@ them. Pressing lips add unit forces of their hats, and the active set of the bat
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
 from scipy.sparse import csc_array, eye_array
 
+from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.subcells import Subcells, embed
 from xfemnav.geometry.window import Window, window
@@ -23,9 +23,6 @@ from xfemnav.mechanics.enrichment import HEAVISIDE, Enrichment, enrich
 from xfemnav.mechanics.outline import skull_conditions
 from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
 from xfemnav.mechanics.space import Space
-
-#: A condition is dropped when what it asks beyond the others is smaller than this, relative.
-DEPENDENT = 1e-10
 
 
 class OutOfReach(Exception):
@@ -41,9 +38,9 @@ class Incision:
     """A cut in a condensed organ.
 
     space: mesh, subcells and basis of the `window` about the cut, whose rim is that of the organ;
-    rows (a,): its basis functions that are unknown here; uncut (2 k, 2 k) kPa: the uncut organ's stiffness condensed
-    onto the first k of them, the nodes; A (n, n): stiffness of the scaled unknowns q, and R (2 a, n) the map u = R q;
-    skull: conditions of the skull that are no plain zeros.
+    rows (a,): its basis functions that are unknown here; number (n_dof,) the unknown of each degree of freedom;
+    uncut (2 k, 2 k) kPa: the uncut organ's stiffness condensed onto the first k rows, the nodes; A (n, n): stiffness
+    of the scaled unknowns q, and R (2 a, n) the map u = R q; skull: conditions of the skull that are no plain zeros.
     """
 
     organ: Condensation
@@ -51,19 +48,18 @@ class Incision:
     window: Window
     space: Space
     rows: np.ndarray
+    number: np.ndarray
     uncut: np.ndarray
     A: np.ndarray
     R: "Scaling"
     skull: Constraints
 
-    @cached_property
-    def dofs(self) -> np.ndarray:
-        """Degrees of freedom (2 a,) of the window's basis that are unknown."""
-        return (2 * self.rows[:, None] + np.arange(2)).ravel()
-
     def local(self, C) -> np.ndarray:
-        """Conditions (m, n_dof) of the window as a matrix (m, 2 a) on the unknowns."""
-        return csc_array(C)[:, self.dofs].toarray()
+        """Conditions (m, n_dof) of the window as a matrix (m, 2 a) on the unknowns; they act on no other."""
+        C = C.tocoo()
+        dense = np.zeros((C.shape[0], 2 * len(self.rows)))
+        np.add.at(dense, (C.row, self.number[C.col]), C.data)
+        return dense
 
     def expand(self, u) -> tuple[np.ndarray, np.ndarray]:
         """All coefficients from the unknowns u (2 a, k) mm: those of the organ's nodes (n_nodes, 2, k), and of the
@@ -141,7 +137,7 @@ def incise(
     uncut = _condensed(organ, part.nodes[rows[rows < n]])
     outside = uncut - _plain(part.mesh, material, np.flatnonzero(cells), rows[rows < n])
     A, R = _scaled(space, material, tip_enrichment, K, outside, rows, fixed)
-    return Incision(organ, cuts, part, space, rows, uncut, A, R, skull)
+    return Incision(organ, cuts, part, space, rows, number, uncut, A, R, skull)
 
 
 def _space(organ, cuts, tip_enrichment, tip_radius_mm):
@@ -160,6 +156,7 @@ def _space(organ, cuts, tip_enrichment, tip_radius_mm):
     spurious = (table.kind == HEAVISIDE) & part.border[table.node]
     own = np.where(spurious, table.node, np.arange(table.n_rows))
     table = replace(table, dof=own[table.dof])
+    _refuse_without_lips(organ, cuts, sub)
     _refuse_through(sub, table)
     return Space(part.mesh, sub, table), part
 
@@ -171,6 +168,18 @@ def _live_rim(organ, part, sub):
     depth = np.abs(np.einsum("bai,bai->ba", part.mesh.gradients[cell], offset))
     facet = organ.facet_number[part.cells[cell], np.argmin(depth, axis=1)]
     return (facet >= 0) & organ.live_facets[facet]
+
+
+def _refuse_without_lips(organ, cuts, sub):
+    """A cut within 1e-3 h of the outline is snapped onto it, where it cuts nothing."""
+    for k, cut in enumerate(cuts):
+        lost = cut.length - np.diff(sub.lip_arc[sub.lip_cut == k], axis=1).sum()
+        if lost > 0.1 * min(cut.length, organ.mesh.sizes.min()):
+            raise XfemnavError(
+                "E305",
+                f"cut '{cut.name}' runs along the outline, or along another cut, for {lost:.2g} of its "
+                f"{cut.length:.2g} mm, where it cuts nothing; keep it inside, or leave that part out.",
+            )
 
 
 def _refuse_through(sub: Subcells, table: Enrichment):
@@ -231,6 +240,11 @@ def _scaled(space, material, tip_enrichment, K, outside, rows, fixed):
     A[: len(outside), : len(outside)] += outside
     scale = 1 / np.sqrt(A[plain, plain])
     R = Scaling(len(A), plain, scale, tips, mix)
-    half = R.rows(A)
-    A = R.rows(half.T)
-    return (A + A.T) / 2, R
+    order, p = np.concatenate([plain, tips]), len(plain)
+    A = A[order[:, None], order]
+    A[:p] *= scale[:, None]
+    A[:, :p] *= scale
+    beside, block = A[:p, p:] @ mix, mix.T @ A[p:, p:] @ mix
+    scaled = np.empty((p + mix.shape[1],) * 2)
+    scaled[:p, :p], scaled[:p, p:], scaled[p:, :p], scaled[p:, p:] = A[:p, :p], beside, beside.T, (block + block.T) / 2
+    return scaled, R

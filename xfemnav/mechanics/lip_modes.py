@@ -63,16 +63,11 @@ class LipModes:
         return self._answer(self.u @ amounts, self.multipliers @ amounts)
 
     def opening(self, amounts) -> float:
-        """Smallest distance mm by which the lips are pulled apart where both are held; infinite where none are."""
-        spans = {blade.side: span for blade, span in zip(self.blades, self.spans)}
-        if len(spans) < 2:
-            return np.inf
-        span = np.maximum.reduce(list(spans.values()))[0], np.minimum.reduce(list(spans.values()))[1]
-        normals = self._normals(*np.minimum(span, self.incision.cuts[self.blades[0].cut].length))
-        apart = np.zeros(len(normals))
+        """Smallest distance mm by which the lips are pulled apart where both are held; infinite where not."""
+        apart = np.zeros(len(self._normals))
         for k, blade in enumerate(self.blades):
             *along, away = amounts[PER_LIP * k : PER_LIP * (k + 1)]
-            apart += blade.side * (normals @ along) + away
+            apart += blade.side * (self._normals @ along) + away
         return float(apart.min(initial=np.inf))
 
     @cached_property
@@ -117,9 +112,15 @@ class LipModes:
         q, multipliers = self.system.constrained((G[live].T @ force)[:, None], np.zeros((len(self.d), 1)))
         return self._answer((self.incision.R @ q)[:, 0], multipliers[:, 0])
 
-    def _normals(self, start, stop):
-        """Left normals (q, 2) of the cut between two arcs, mm."""
-        return lip_quadrature(self.incision.space, self.blades[0].cut, 1, (start, stop), n=1).normals
+    @cached_property
+    def _normals(self):
+        """Left normals (q, 2) of the cut where both lips are held."""
+        if len({blade.side for blade in self.blades}) < 2:
+            return np.empty((0, 2))
+        start, stop = self.spans[:, 0].max(), self.spans[:, 1].min()
+        cut = self.blades[0].cut
+        stop = min(stop, self.incision.cuts[cut].length)
+        return lip_quadrature(self.incision.space, cut, 1, (start, max(start, stop)), n=1).normals
 
     @cached_property
     def _live_contacts(self):
@@ -148,7 +149,8 @@ class System:
         size = np.linalg.norm(C, axis=1)
         self.A, self.size = A, np.where(size > 0, size, 1.0)
         self.C = C / self.size[:, None]
-        self.factor, info = lapack.dpotrf(A + self.C.T @ self.C, lower=True, overwrite_a=True)
+        # Symmetric: the transpose is in the order that LAPACK wants.
+        self.factor, info = lapack.dpotrf((A + self.C.T @ self.C).T, lower=True, overwrite_a=True)
         if info:
             raise XfemnavError(
                 "E406",

@@ -20,21 +20,60 @@ from xfemnav.mechanics.incision import Incision
 
 @dataclass(frozen=True, eq=False)
 class Soup:
-    """Triangles of a cut organ at rest: cells as they are, `whole` (c,), then those `near` the cut (t, 3, 2) mm, whose
-    corners move by `basis` (3 t, n_rows) times the coefficients of the window's basis. `beside` (b,): cells among the
-    whole ones that points on the cut may be in."""
+    """Triangles of the organ at rest, cut or not: cells as they are, then those near the cut, finer at its tips."""
 
     organ: Condensation
-    whole: np.ndarray
-    near: np.ndarray
-    basis: csr_array
-    beside: np.ndarray
-    paths: tuple = ()
+    incision: Incision | None = None
 
     @property
     def mesh(self) -> Mesh:
         """The mesh without the cut."""
         return self.organ.mesh
+
+    @property
+    def cuts(self) -> tuple[np.ndarray, ...]:
+        """The cut's path."""
+        return () if self.incision is None else tuple(cut.path for cut in self.incision.cuts)
+
+    @cached_property
+    def _pieces(self):
+        """The window's cells (w,) bool whose motion is not that of their nodes; their triangles, and parts of these."""
+        space = self.incision.space
+        sub, table = space.subcells, space.enrichment
+        cut = (table.dof >= len(space.mesh.points)).any(axis=1)
+        cut[table.entry_part] = True
+        cut[len(space.mesh.cells) :] = True
+        cells = np.zeros(len(space.mesh.cells), dtype=bool)
+        cells[sub.part_cell[cut]] = True
+        rest, part = graded_triangles(space)
+        chosen = cells[sub.part_cell[part]]
+        return cells, rest[chosen], part[chosen]
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """Cells (c,) that move as their nodes do."""
+        whole = np.ones(len(self.mesh.cells), dtype=bool)
+        if self.incision is not None:
+            whole[self.incision.window.cells[self._pieces[0]]] = False
+        return np.flatnonzero(whole)
+
+    @cached_property
+    def near(self) -> np.ndarray:
+        """Triangles (t, 3, 2) mm of the other cells."""
+        return np.empty((0, 3, 2)) if self.incision is None else self._pieces[1]
+
+    @cached_property
+    def basis(self) -> csr_array:
+        """Basis (3 t, n_rows) of the window at the corners of the near triangles."""
+        if self.incision is None:
+            return csr_array((0, 0))
+        _, rest, part = self._pieces
+        return self.incision.space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3))
+
+    @cached_property
+    def beside(self) -> np.ndarray:
+        """Whole cells (b,) that a point on the cut may be in."""
+        return np.intersect1d(near_cells(self.mesh, np.concatenate(self.cuts)), self.whole)
 
     @cached_property
     def rest(self) -> np.ndarray:
@@ -43,36 +82,11 @@ class Soup:
 
     @cached_property
     def is_near(self) -> np.ndarray:
-        """Cells (m,) bool that are in pieces, or beside them: a point in one asks the near triangles."""
+        """Cells (m,) bool in which a point asks the near triangles."""
         near = np.ones(len(self.mesh.cells), dtype=bool)
         near[self.whole] = False
         near[self.beside] = True
         return near
-
-
-def uncut(organ: Condensation) -> Soup:
-    """The triangles of an organ without a cut."""
-    return Soup(organ, np.arange(len(organ.mesh.cells)), np.empty((0, 3, 2)), csr_array((0, 0)), np.empty(0, dtype=int))
-
-
-def soup(incision: Incision) -> Soup:
-    """The triangles of a cut organ, finer at the tips."""
-    space, window = incision.space, incision.window
-    sub, table = space.subcells, space.enrichment
-    cut = (table.dof >= len(space.mesh.points)).any(axis=1)
-    cut[table.entry_part] = True
-    cut[len(space.mesh.cells) :] = True
-    cells = np.zeros(len(space.mesh.cells), dtype=bool)
-    cells[sub.part_cell[cut]] = True
-    rest, part = graded_triangles(space)
-    chosen = cells[sub.part_cell[part]]
-    rest, part = rest[chosen], part[chosen]
-    whole = np.ones(len(incision.organ.mesh.cells), dtype=bool)
-    whole[window.cells[cells]] = False
-    beside = near_cells(incision.organ.mesh, np.concatenate([cut.path for cut in incision.cuts]))
-    return Soup(incision.organ, np.flatnonzero(whole), rest,
-                space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3)), beside[whole[beside]],
-                tuple(cut.path for cut in incision.cuts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +111,14 @@ class LiveMotion:
     @cached_property
     def all(self) -> PiecewiseAffineMap:
         """The whole motion, both ways: it takes as long to make as an image."""
-        return PiecewiseAffineMap(self.soup.rest, self.moved, self.soup.paths)
+        return PiecewiseAffineMap(self.soup.rest, self.moved, self.soup.cuts)
 
     @cached_property
     def _close(self) -> PiecewiseAffineMap:
         cells, mesh = self.soup.beside, self.soup.mesh
         rest = np.concatenate([mesh.corners[cells], self.soup.near])
         moved = np.concatenate([(mesh.points + self.U)[mesh.cells[cells]], self.near_moved])
-        return PiecewiseAffineMap(rest, moved, self.soup.paths)
+        return PiecewiseAffineMap(rest, moved, self.soup.cuts)
 
     def to_current(self, points, side=0) -> np.ndarray:
         """Where the tissue that rested at `points` (n, 2) mm is now; NaN where there is none. `side` +1 left, -1 right.
@@ -117,8 +131,8 @@ class LiveMotion:
         hats[:, 0] += 1
         current = points + np.einsum("ka,kai->ki", hats, self.U[corner])
         current[cell < 0] = np.nan
-        near = np.flatnonzero((cell < 0) | self.soup.is_near[cell])
-        if len(self.soup.near) and len(near):
+        if self.soup.incision is not None:
+            near = np.flatnonzero((cell < 0) | self.soup.is_near[cell])
             current[near] = self._close.to_current(points[near], side)
         return current
 

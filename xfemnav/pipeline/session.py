@@ -62,7 +62,7 @@ class Session:
         Raises what a run would of the cut (E301 to E305), and E314 when it goes right through.
         """
         from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
-        from xfemnav.mechanics.live_motion import soup
+        from xfemnav.mechanics.live_motion import Soup
 
         placed, how = self._placed(self._plane(path)), self._settings.tip_enrichment
         try:
@@ -75,7 +75,8 @@ class Session:
         except CutThrough:
             raise XfemnavError("E314", f"cut '{NAME}' goes right through the tissue, which a session cannot do; let it "
                                        "end inside, or make a run of it.") from None
-        self._incision, self._soup, self._modes, self._drawn = incision, soup(incision), {}, self._rows(path)
+        self._incision, self._soup = incision, Soup(self._organ, incision)
+        self._modes, self._drawn = {}, self._rows(path)
         self._move(*(self._asked or ({}, BLADE)), at_once=True)
 
     def extend_cut(self, point) -> None:
@@ -194,13 +195,13 @@ class Session:
     def _condense(self, plan) -> None:
         """Condense the organ about a planned cut, uncut and at rest."""
         from xfemnav.mechanics.condensation import condense
-        from xfemnav.mechanics.live_motion import LiveMotion, uncut
+        from xfemnav.mechanics.live_motion import LiveMotion, Soup
         from xfemnav.mechanics.outline import Skull
 
         settings, mouths = self._settings, plan.path[:1] if plan.mouth and plan.craniotomy else ()
         skull = Skull(settings.skull, settings.craniotomy_mm, settings.skull_ramp_mm)
         self._organ = condense(self.mesh, self._material, skull, plan.path, reach_mm=self.reach_mm, mouths=mouths)
-        self._soup = uncut(self._organ)
+        self._soup = Soup(self._organ)
         self._motion, self._pulled, self._forces = LiveMotion(
             self._soup, np.zeros((len(self.mesh.points), 2)), np.empty((0, 2))), None, {}
 
