@@ -43,6 +43,12 @@ class PiecewiseAffineMap:
             current[lip] = points[lip] + _carry(foot[lip], beside, self.rest, self.moved) - foot[lip]
         return current
 
+    def lip_now(self, cut: int, side: int, step_mm: float = 1.0) -> np.ndarray:
+        """Where a cut's lip on the side +1 (left) or -1 is now: points (k, 2) mm along it, without resected ones."""
+        along = shapely.get_coordinates(shapely.segmentize(shapely.LineString(self.cuts[cut]), step_mm))
+        moved = self.to_current(along, side)
+        return moved[np.isfinite(moved[:, 0])]
+
     def to_preoperative(self, points) -> np.ndarray:
         """Where the tissue that is now at `points` rested; where tissue overlaps, one of the places."""
         points = np.array(points, float, ndmin=2)
@@ -124,9 +130,3 @@ def _nearest_on(paths, points):
         for near, before in ((start, s[start] - 1), (end, s[end])):
             corner[n[near]] = np.stack([path[before + 1], unit[before + 1], -unit[before]], axis=1)
     return foot, corner, distance
-
-    def lip_now(self, cut: int, side: int, step_mm: float = 1.0) -> np.ndarray:
-        """Where the lip of a cut on the side +1 (left) or -1 is now: points (k, 2) mm along it, without resected ones."""
-        along = shapely.get_coordinates(shapely.segmentize(shapely.LineString(self.cuts[cut]), step_mm))
-        moved = self.to_current(along, side)
-        return moved[np.isfinite(moved[:, 0])]
