@@ -21,7 +21,8 @@ def cli():
     """
 
 
-for command in (run.run, *run.stage_commands, run.demo, batch.batch, tools.check, tools.schema, tools.cache):
+for command in (run.run, *run.stage_commands, run.demo, batch.batch, tools.check, tools.schema, tools.apply,
+                tools.doctor, tools.cache):
     cli.add_command(command)
 
 

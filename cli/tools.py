@@ -1,13 +1,16 @@
-"""`xfemnav check`, `schema` and `cache`."""
+"""`xfemnav check`, `schema`, `apply`, `doctor` and `cache`."""
 
 import json
 from pathlib import Path
 
 import click
 
-from xfemnav.errors import EXIT_CONFIG, EXIT_DATA
+from xfemnav.errors import EXIT_CONFIG, EXIT_DATA, EXIT_SOME_FAILED, EXIT_UNTRUSTED, XfemnavError
+from xfemnav_cli.telling import complain, printable
 
 FILE = click.Path(path_type=Path)
+FOLDER = click.option("-w", "--cache", "root", type=FILE, metavar="DIR",
+                      help="Cache.  [$XFEMNAV_CACHE, else ~/.cache/xfemnav]")
 
 
 @click.command()
@@ -39,13 +42,71 @@ def schema(which):
     click.echo(json.dumps(found, indent=2))
 
 
+@click.command()
+@click.argument("folder", metavar="RUN", type=FILE)
+@click.argument("files", metavar="FILE...", type=FILE, nargs=-1, required=True)
+@click.option("-o", "--output", type=FILE, metavar="DIR", default=Path(), help="Where to write.  [the current folder]")
+@click.option("--kind", type=click.Choice(["continuous", "label", "vector", "tensor"]),
+              help="What the values of images are.  [continuous, for one value a voxel]")
+@click.option("--interp", type=click.Choice(["linear", "cubic", "nearest"]), default="linear", show_default=True,
+              help="Interpolation of images; labels are always nearest.")
+@click.option("--axes", type=click.Choice(["world", "image"]), default="world", show_default=True,
+              help="Axes of vectors and tensors: RAS (LPS where NIfTI says so), or FSL's.")
+@click.option("--outside", type=click.Choice(["keep", "zero"]), default="keep", show_default=True,
+              help="Pixels outside the organ.")
+@click.option("--fill", type=float, metavar="VALUE", default=0.0, help="Value of cavity pixels.  [0]")
+@click.option("--side", type=click.Choice(["left", "right"]), help="The lip for points on a cut.  [both]")
+@click.option("--inverse", is_flag=True, help="Points of now back to the preoperative image.")
+@click.option("--step", metavar="NAME", help="After this step of the run.  [the last]")
+@click.option("--force", is_flag=True, help="Replace existing files; never inputs, nor the run's.")
+def apply(folder, files, output, step, force, **choices):
+    """Apply the finished run in the folder RUN to images, landmarks and streamlines of the preoperative patient.
+
+    Images (any format and grid), .mrk.json, .fcsv, .csv, .tag, .trk and .tck. Each file is written whole or not at all,
+    and one that fails stops no other. Exit status 1 if some of several failed.
+    """
+    from xfemnav.pipeline.apply import Choices
+    from xfemnav.pipeline.apply import apply as apply_to
+    from xfemnav.pipeline.result import Result
+
+    result = Result.load(folder, step)
+    kept, failed = set(files), []
+    for path in files:
+        try:
+            done = apply_to(result, path, output, Choices(**choices), step=step, force=force, kept=frozenset(kept))
+        except XfemnavError as error:
+            complain(f"{path}: {error}")
+            failed.append(error.exit_code or EXIT_DATA)
+            continue
+        kept.add(done.target)
+        click.echo(printable(f"{path} -> {done.target}  {done.text}"))
+        for item in done.warnings:
+            complain(f"{path}: {item.code} {item.text}")
+    if failed:
+        return failed[0] if len(files) == 1 else EXIT_SOME_FAILED
+    if not result.trusted:
+        complain(f"{result.record['error']['code']} {result.record['error']['text']}")
+        return EXIT_UNTRUSTED
+    return 0
+
+
+@click.command()
+@FOLDER
+def doctor(root):
+    """Check this installation: a small known motion through every format and frame, the cache, the libraries."""
+    from xfemnav.pipeline.doctor import examine
+    from xfemnav.pipeline.job import default_cache
+
+    code = 0
+    for found in examine(root or default_cache()):
+        click.echo(printable(found.line))
+        code = code or found.exit_code
+    return code
+
+
 @click.group()
 def cache():
     """Look at the cache, verify it, or remove what is old."""
-
-
-FOLDER = click.option("-w", "--cache", "root", type=FILE, metavar="DIR",
-                      help="Cache.  [$XFEMNAV_CACHE, else ~/.cache/xfemnav]")
 
 
 def _opened(root):

@@ -11,6 +11,7 @@ N = 12
 ANGLES = 2 * np.pi * np.arange(N) / N
 LOOP = 10 * np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 FAN = np.stack([np.zeros((N, 2)), LOOP, np.roll(LOOP, -1, axis=0)], axis=1)    # triangles about the centre
+SHIFT = np.array([2.0, -1.0])
 SMOOTH = np.array([[1.1, 0.2], [-0.1, 0.9]])
 
 
@@ -34,9 +35,9 @@ def test_a_mouth_is_bridged_by_a_straight_line():
 @pytest.mark.parametrize("first", [0, 4, N - 2])    # also where the loop begins
 def test_where_tissue_was_taken_the_outline_moves_as_its_ends_do(first):
     kept = np.roll(np.arange(N), -first)[3:]
-    moved = FAN[kept] + [2.0, -1.0]
+    moved = FAN[kept] + SHIFT
     found = moved_outline(LOOP, FAN[kept], moved)
-    assert shapely.Polygon(found).symmetric_difference(shapely.Polygon(LOOP + [2.0, -1.0])).area < 1e-9
+    assert shapely.Polygon(found).symmetric_difference(shapely.Polygon(LOOP + SHIFT)).area < 1e-9
 
 
 def test_order_of_triangles_and_rounding_change_nothing():

@@ -110,7 +110,7 @@ def test_labels_stay_labels_and_series_are_asked_for(opened, tmp_path):
     found = opened.warp(write(tmp_path / "labels.nii.gz", labels), kind="label")
     assert found.get_data_dtype() == np.int16 and set(np.unique(found.dataobj)) == {0, 7}
     series = write(tmp_path / "series.nii.gz", np.stack([brain(), 2 * brain()], axis=-1)[:, :, None])
-    with pytest.raises(xfemnav.XfemnavError, match="E131.*several values"):
+    with pytest.raises(xfemnav.XfemnavError, match=r"E131.*several values"):
         opened.warp(series)
     both = opened.warp(series, kind="continuous").get_fdata()[:, :, 0]
     assert np.allclose(both[..., 1], 2 * both[..., 0]) and np.allclose(both[..., 0], opened.warp(brain()), atol=1e-2)

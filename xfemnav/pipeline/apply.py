@@ -1,0 +1,137 @@
+"""A finished run applied to a file that comes later: an image, landmarks or streamlines."""
+
+import os
+import tempfile
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from xfemnav.errors import XfemnavError
+from xfemnav.pipeline.chain import Warned, recorded
+from xfemnav.pipeline.disk import write_together, writing
+from xfemnav.pipeline.result import Result
+from xfemnav.pipeline.runfile import BIDS, DESCRIBED, json_text, public_name, sidecar_name, slug, stem
+from xfemnav.pipeline.stage_carry import placed, point_ending
+
+POINTS, TRACTS = (".json", ".fcsv", ".csv", ".tag"), (".trk", ".tck")
+
+
+@dataclass(frozen=True)
+class Choices:
+    """How files are carried: `kind`, `interp`, `axes`, `outside`, `fill` of images as in `Result.warp`; of points the
+    `side` of a cut, and `inverse`, from now to the preoperative image."""
+
+    kind: str | None = None
+    interp: str = "linear"
+    axes: str = "world"
+    outside: str = "keep"
+    fill: float = 0.0
+    side: str | None = None
+    inverse: bool = False
+
+
+@dataclass(frozen=True)
+class Applied:
+    """What came of a file: where it is written, what is in it in a few words, and what was warned of."""
+
+    target: Path
+    text: str
+    warnings: tuple[Warned, ...]
+
+
+def apply(result: Result, path: Path, folder: Path, choices: Choices = Choices(), *, step: str | None = None,
+          force: bool = False, kept: frozenset[Path] = frozenset()) -> Applied:
+    """Write the file at `path` as it is after the motion of `result` into `folder`, whole or not at all.
+
+    What it is, its ending says: landmarks (.mrk.json, .json, .fcsv, .csv, .tag), streamlines (.trk, .tck), or else an
+    image. Only with `force` an existing file is replaced, and never `path` itself, nor one of `kept` or of the run.
+    `step` is the one that `result` is of, for the name. Raises E731, E780 (`inverse` for what are no points), what
+    reading raises, E501 and E502.
+    """
+    path, folder = Path(path), Path(folder)
+    carry = _kind_of(path)
+    if choices.inverse and carry is not _points:
+        raise XfemnavError("E780", f"{path.name} holds no points, and --inverse is for points alone. Leave it out.")
+    target = folder / output_name(path, step, inverse=choices.inverse)
+    targets = [target, *([folder / sidecar_name(target.name)] if carry is _image else [])]
+    _refuse(targets, {path, *kept, *_own(result)}, force)
+    with recorded() as caught, tempfile.TemporaryDirectory(prefix="xfemnav-") as scratch:
+        with writing(Path(scratch), target.name):
+            text = carry(result, path, Path(scratch) / target.name, choices)
+        files = {made.name: made.read_bytes() for made in sorted(Path(scratch).iterdir())}
+    with writing(folder, "the output folder"):
+        folder.mkdir(parents=True, exist_ok=True)
+    write_together(folder, files)
+    return Applied(target, text, tuple(caught))
+
+
+def output_name(path: Path, step: str | None = None, *, inverse: bool = False) -> str:
+    """The name of what is made of the file at `path`: as a run names what it carries along."""
+    carry, name = _kind_of(path), stem(path)
+    if step:
+        match = BIDS.match(name)
+        name = f"{match[1]}_step-{slug(step)}_{match[2]}" if match else f"{name}_step-{slug(step)}"
+    if carry is _image:
+        return public_name(path, f"companion:{name}")
+    if carry is _tracts:
+        return public_name(path, f"streamlines:{name}", path.suffix.lower())
+    before, _, after = public_name(path, f"points:{name}", point_ending(path)).rpartition("_desc-updated")
+    return f"{before}_desc-{'preoperative' if inverse else 'updated'}{after}"
+
+
+def _kind_of(path: Path):
+    """The function that carries a file of this name."""
+    ending = path.suffix.lower()
+    return _points if ending in POINTS else _tracts if ending in TRACTS else _image
+
+
+def _image(result: Result, path: Path, target: Path, choices: Choices) -> str:
+    from xfemnav import __version__
+    from xfemnav.pipeline.files import write_nifti
+
+    image = result.warp(path, kind=choices.kind, interp=choices.interp, outside=choices.outside, fill=choices.fill,
+                        axes=choices.axes)
+    write_nifti(target, image)
+    about = DESCRIBED["companion"] | {"Sources": [path.name, result.record["outputs"]["solution"]],
+                                      "GeneratedBy": [{"Name": "xfemnav", "Version": __version__}]}
+    if not result.trusted:
+        about["Untrusted"] = f"{result.record['error']['code']} {result.record['error']['text']}"
+    (target.parent / sidecar_name(target.name)).write_text(json_text(about))
+    return f"{choices.kind or 'continuous'} image"
+
+
+def _points(result: Result, path: Path, target: Path, choices: Choices) -> str:
+    from xfemnav.imaging.point_files import read_points, write_points
+
+    found = read_points(path)
+    moved = result.landmarks(found.points, choices.side, inverse=choices.inverse)
+    write_points(target, placed(found, moved, one_lip=choices.side is not None))
+    return _counted(moved.flag, "points")
+
+
+def _tracts(result: Result, path: Path, target: Path, choices: Choices) -> str:
+    moved = result.streamlines(path)
+    moved.file.save(str(target))
+    return _counted(moved.flag, "streamlines")
+
+
+def _counted(flags: tuple[str, ...], what: str) -> str:
+    parts = ", ".join(f"{n} {flag}" for flag, n in Counter(flags).most_common())
+    return f"{len(flags)} {what if len(flags) != 1 else what[:-1]}" + (f": {parts}" if parts else "")
+
+
+def _own(result: Result) -> set[Path]:
+    """The files of the run."""
+    names = {"run.json", *result.record["outputs"].values()}
+    return {result.folder / name for name in names | {sidecar_name(name) for name in names}}
+
+
+def _refuse(targets: list[Path], kept: set[Path], force: bool) -> None:
+    """Raise E731 when a target is one of the files that are `kept`, or exists and `force` is not given."""
+    own = {path.resolve() for path in kept}
+    for target in targets:
+        if target.resolve() in own:
+            raise XfemnavError("E731", f"the output would overwrite {target}, which is an input or was made just now. "
+                                       "Give another folder with -o.")
+        if os.path.lexists(target) and not force:
+            raise XfemnavError("E731", f"{target} exists. Give another folder with -o, or --force to replace it.")
