@@ -93,7 +93,7 @@ def snap(net: Net, paths, walls, outline) -> list[np.ndarray]:
             h = net.size_at(path[end])
             ends_there = outline.distance(shapely.Point(path[end])) <= SEVER * h
             if not ends_there and not any(_is_on(other, path[end], h) for other in others):
-                _onto_near_lines([path, *others], path, end, h)
+                _onto_near_lines([path, *others], path, end, h, _directions(net, path[end], h))
     return snapped
 
 
@@ -113,8 +113,20 @@ def _snapped(net, path):
     return _through_near_nodes(path, net.with_lines([path])) if len(path) > 1 else path
 
 
-def _onto_near_lines(paths, path, end, h):
-    """Move a cut's end onto the line of another segment that passes it by a hair: cells are split along whole lines."""
+def _directions(net, x, h):
+    """Unit directions (k, 2) of the mesh's edges through a point (2,) mm."""
+    a, d = net.segments[:, 0], net.segments[:, 1] - net.segments[:, 0]
+    length = np.linalg.norm(d, axis=1)
+    along = ((x - a) * d).sum(axis=1) / length
+    off = np.abs(d[:, 0] * (x - a)[:, 1] - d[:, 1] * (x - a)[:, 0]) / length
+    return (d / length[:, None])[(off < 1e-9 * h) & (along > -1e-9 * h) & (along < length + 1e-9 * h)]
+
+
+def _onto_near_lines(paths, path, end, h, edges):
+    """Move a cut's end onto the line of another segment that passes it by a hair: cells are split along whole lines.
+
+    An end on one of the mesh's `edges` (k, 2) stays on it, and an end on a node stays.
+    """
     own = path[:2] if end == 0 else path[-2:]
     for other in paths:
         for a, b in zip(other[:-1], other[1:]):
@@ -122,8 +134,14 @@ def _onto_near_lines(paths, path, end, h):
                 continue
             length = np.linalg.norm(b - a)
             along, off = (path[end] - a) @ (b - a) / length, orient(a, b, path[end]) / length
-            if 0 < abs(off) <= SNAP / 10 * h and -2 * h < along < length + 2 * h:
+            if not 0 < abs(off) <= SNAP / 10 * h or not -2 * h < along < length + 2 * h:
+                continue
+            if not len(edges):
                 path[end] = a + along * (b - a) / length
+            elif len(edges) == 1:
+                slope = orient(np.zeros(2), (b - a) / length, edges[0])
+                if abs(off) <= SNAP * h * abs(slope):
+                    path[end] = path[end] - off / slope * edges[0]
 
 
 def _simplified(path, net):

@@ -19,6 +19,8 @@ LOOSE = ("refuse", "remove", "hold")
 MEAN_OVER = 200
 #: A rigid motion whose conditions and springs do less than this, of the strongest, is free.
 FREE_MOTION = 1e-8
+#: A body takes part in a joint motion when its share of that is larger than this.
+PART = 1e-3
 
 
 @dataclass(frozen=True)
@@ -49,35 +51,38 @@ def sort_out(
     area = np.bincount(table.body, np.bincount(sub.part, sub.areas, sub.n_parts))
     bodies = np.unique(table.body[~sub.removed])
     bodies = bodies[np.argsort(-area[bodies], kind="stable")]
-    crumb = area[bodies] < np.median(space.mesh.areas)
-    free = [free_motions(space, constraints, springs, body) for body in bodies]
-    if all(motions.shape[1] for motions in free) and ((~crumb).sum() < 2 or loose != "refuse"):
-        raise XfemnavError(
-            "E406",
-            "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
-            "use --skull fixed, or hold a lip.",
-        )
-    removed, held, pieces, crumbs = np.zeros(sub.n_parts, dtype=bool), [], [], []
-    for k, (body, motions) in reversed(list(enumerate(zip(bodies, free)))):
-        parts, fate = table.body == body, "fixed"
-        if motions.shape[1]:
-            fate = "removed" if crumb[k] or (loose == "remove" and k > 0) else "held" if loose == "hold" else "refused"
-            what = f"{area[body]:.3g} mm2 ({100 * area[body] / area[bodies].sum():.2g} % of the tissue)"
-            if crumb[k]:
-                crumbs.append(f"{what} about {_mm(_place(sub, parts))}")
-            else:
-                _tell(space, cuts, resections, retractions, parts, what, fate)
-        if fate == "held":
-            held.append(_held_at_mean(space, parts, motions))
-        removed |= parts & (fate == "removed")
-        place = _place(sub, parts)
-        name = "organ" if k == 0 else f"piece about {_mm(place)}"
-        pieces.append(Piece(name, float(area[body]), tuple(place.tolist()), fate))
+    motions, work = _rigid_work(space, constraints, springs, bodies)
+    fates, removed, held, crumbs = ["fixed"] * len(bodies), np.zeros(sub.n_parts, dtype=bool), [], []
+    while (k := _smallest_free(work)) is not None:
+        parts, free = table.body == bodies[k], _free(work, k)
+        is_crumb = area[bodies[k]] < np.median(space.mesh.areas)
+        if "fixed" not in fates[1:] and k == 0:
+            raise XfemnavError(
+                "E406",
+                "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
+                "use --skull fixed, or hold a lip.",
+            )
+        fates[k] = "removed" if is_crumb or (loose == "remove" and k) else "held" if loose == "hold" else "refused"
+        what = f"{area[bodies[k]]:.3g} mm2 ({100 * area[bodies[k]] / area[bodies].sum():.2g} % of the tissue)"
+        if is_crumb:
+            crumbs.append(f"{what} about {_mm(_place(sub, parts))}")
+        else:
+            _tell(space, cuts, resections, retractions, parts, what, fates[k])
+        if fates[k] == "held":
+            held.append(_held_at_mean(space, parts, motions[:, 3 * k : 3 * k + 3] @ free))
+        removed |= parts & (fates[k] == "removed")
+        own = slice(3 * k, 3 * k + 3)
+        work[own, own] += free @ free.T if fates[k] == "held" else np.eye(3)
+    pieces = []
+    for k, body in enumerate(bodies):
+        place = _place(sub, table.body == body)
+        name = f"piece about {_mm(place)}" if k else "organ"
+        pieces.append(Piece(name, float(area[body]), tuple(place.tolist()), fates[k]))
     if crumbs:
         more = f", and {len(crumbs) - 1} smaller ones" if len(crumbs) > 1 else ""
         warn("W311", f"a loose piece of {crumbs[-1]}{more}, under the size of an element, was cut free and removed.")
     conditions = stack([constraints, *held, _at_rest(table, sub.removed)], table.n_dof)
-    return conditions, removed, tuple(reversed(pieces))
+    return conditions, removed, tuple(pieces)
 
 
 def _tell(space, cuts, resections, retractions, parts, what, fate):
@@ -107,24 +112,58 @@ def _tell(space, cuts, resections, retractions, parts, what, fate):
 
 def free_motions(space: Space, constraints: Constraints, springs, body: int) -> np.ndarray:
     """The rigid motions (n_dof, m) of a body that meet no condition and no spring."""
+    motions, work = _rigid_work(space, constraints, springs, [body])
+    return motions @ _free(work, 0)
+
+
+def _rigid_work(space, constraints, springs, bodies):
+    """The three rigid motions of each body, (n_dof, 3 b) sparse, and what conditions and springs do to them (3 b, 3 b).
+
+    One condition may act on several bodies, a mean over a stretch of lip that crossings have cut into pieces: it takes
+    one motion from all of them together.
+    """
     table, mesh = space.enrichment, space.mesh
     row_body = np.full(table.n_rows, -1)
     row_body[table.dof] = table.body[:, None]
-    own = ((table.kind < BRANCH) & (row_body == body)).astype(float)
+    row_body[table.kind >= BRANCH] = -1
     # A row's length is its unit's and its element's business; whether it is met is not.
     length = np.sqrt(np.asarray(constraints.C.multiply(constraints.C).sum(axis=1)).ravel())
-    rows = constraints.C.multiply(1 / np.maximum(length, 1e-300)[:, None]).tocsr()
-    x = mesh.points[table.node]
-    centred = x - np.average(x, axis=0, weights=own)
-    radius = np.sqrt(np.average((centred**2).sum(axis=1), weights=own))
-    motions = np.zeros((table.n_dof, 3))
-    motions[0::2, 0], motions[1::2, 1] = own, own
-    motions[0::2, 2], motions[1::2, 2] = -own * centred[:, 1] / radius, own * centred[:, 0] / radius
-    met = rows @ motions
-    scale = max(np.abs(springs.diagonal()[np.repeat(own > 0, 2)]).max(initial=0.0), 1e-300)
-    work = met.T @ met + motions.T @ (springs @ motions) / scale
+    conditions = constraints.C.multiply(1 / np.maximum(length, 1e-300)[:, None]).tocsr()
+    stiff = np.abs(springs.diagonal()).reshape(-1, 2).max(axis=1)
+    rows, columns, data, scale = [], [], [], np.ones(3 * len(bodies))
+    for k, body in enumerate(bodies):
+        own = np.flatnonzero(row_body == body)
+        x = mesh.points[table.node[own]] - mesh.points[table.node[own]].mean(axis=0)
+        x = x / np.sqrt((x**2).sum(axis=1).mean())
+        one, none = np.ones(len(own)), np.zeros(len(own))
+        for i, (u, v) in enumerate(((one, none), (none, one), (-x[:, 1], x[:, 0]))):
+            rows.append(np.stack([2 * own, 2 * own + 1], axis=1).ravel())
+            columns.append(np.full(2 * len(own), 3 * k + i))
+            data.append(np.stack([u, v], axis=1).ravel())
+        scale[3 * k : 3 * k + 3] = np.sqrt(max(stiff[own].max(), 1e-300))
+    at = (np.concatenate(rows), np.concatenate(columns))
+    motions = csr_array((np.concatenate(data), at), (table.n_dof, 3 * len(bodies)))
+    met = conditions @ motions
+    work = (motions.T @ (springs @ motions)).toarray() / (scale[:, None] * scale)
+    return motions, work + (met.T @ met).toarray()
+
+
+def _null(work):
     value, vector = np.linalg.eigh(work)
-    return motions @ vector[:, value < FREE_MOTION]
+    return vector[:, value < FREE_MOTION]
+
+
+def _smallest_free(work):
+    """The last body that takes part in a rigid motion that nothing meets; None when all are met."""
+    share = np.sqrt((_null(work) ** 2).sum(axis=1)).reshape(-1, 3).max(axis=1)
+    taking_part = np.flatnonzero(share > PART)
+    return int(taking_part[-1]) if len(taking_part) else None
+
+
+def _free(work, k):
+    """Orthonormal motions (3, m) of body k that take part in what nothing meets."""
+    u, size, _ = np.linalg.svd(_null(work)[3 * k : 3 * k + 3])
+    return u[:, : int((size > PART).sum())]
 
 
 def _held_at_mean(space, parts, motions):
