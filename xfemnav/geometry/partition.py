@@ -179,26 +179,40 @@ def _with_vertices(polygon, tips, h):
     return polygon
 
 
-def triangulate(xy, tips, h):
-    """Fan of triangles (k, 3, 2) of a convex polygon (n, 2) from the vertex that makes the best ones; a tip first.
+def triangulate(polygons, tips, h) -> list[np.ndarray]:
+    """Fan of triangles (k, 3, 2) of each convex polygon (n, 2) mm, in cells of sizes `h` (p,) mm; those alike at once.
 
-    A polygon may have vertices inside its sides; every vertex is a corner of some triangle if any fan allows it.
+    A fan starts at the vertex that makes the best ones; a tip first. A polygon may have vertices inside its sides;
+    every vertex is a corner of some triangle if any fan allows it.
     """
-    n = len(xy)
-    if n == 3:
-        return xy[None]
-    apex = np.arange(n)
-    first = (apex[:, None] + np.arange(1, n - 1)) % n
-    fans = np.stack([np.broadcast_to(xy[:, None], (n, n - 2, 2)), xy[first], xy[(first + 1) % n]], axis=2)
-    area = orient(fans[:, :, 0], fans[:, :, 1], fans[:, :, 2]) / 2
-    longest = np.linalg.norm(fans - fans[:, :, [1, 2, 0]], axis=3).max(axis=2)
-    solid = area > FLAT * h * longest
-    score = np.where(solid, area / longest**2, np.inf).min(axis=1)
+    found = [polygon[None] for polygon in polygons]
+    alike = {}
+    for p, polygon in enumerate(polygons):
+        alike.setdefault(len(polygon), []).append(p)
+    for n, chosen in alike.items():
+        if n > 3:
+            fans, solid = _best_fans(np.array([polygons[p] for p in chosen]), tips, h[chosen])
+            for p, fan, own in zip(chosen, fans, solid):
+                found[p] = fan[own]
+    return found
+
+
+def _best_fans(xy, tips, h):
+    """The best fan (p, n - 2, 3, 2) of each polygon (p, n, 2), and which of its triangles (p, n - 2) are not flat."""
+    n = xy.shape[1]
+    first = (np.arange(n)[:, None] + np.arange(1, n - 1)) % n
+    apex = np.broadcast_to(xy[:, :, None], (len(xy), n, n - 2, 2))
+    fans = np.stack([apex, xy[:, first], xy[:, (first + 1) % n]], axis=3)
+    area = orient(fans[..., 0, :], fans[..., 1, :], fans[..., 2, :]) / 2
+    longest = np.linalg.norm(fans - fans[..., [1, 2, 0], :], axis=4).max(axis=3)
+    solid = area > FLAT * h[:, None, None] * longest
+    score = np.where(solid, area / longest**2, np.inf).min(axis=2)
     # A flat triangle leaves a vertex out, unless its neighbour in the fan has it.
-    none = np.zeros((n, 1), dtype=bool)
-    seen = np.concatenate([solid, none], axis=1) | np.concatenate([none, solid], axis=1)
-    score += 2.0 * seen.all(axis=1)
+    none = np.zeros((len(xy), n, 1), dtype=bool)
+    seen = np.concatenate([solid, none], axis=2) | np.concatenate([none, solid], axis=2)
+    score += 2.0 * seen.all(axis=2)
     if len(tips):
-        score += (np.linalg.norm(xy[:, None] - np.asarray(tips), axis=2) < HERE * h).any(axis=1)
-    best = int(np.argmax(np.where(solid.any(axis=1), score, -1.0)))
-    return fans[best][solid[best]]
+        gap = np.linalg.norm(xy[:, :, None] - np.asarray(tips), axis=3).min(axis=2)
+        score += gap < HERE * h[:, None]
+    best = np.argmax(np.where(solid.any(axis=2), score, -1.0), axis=1)
+    return fans[np.arange(len(xy)), best], solid[np.arange(len(xy)), best]

@@ -8,6 +8,7 @@ The loop of a resection is a cut too; the parts inside it are removed, and what 
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import hypot
 
 import numpy as np
 import shapely
@@ -157,11 +158,13 @@ def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections)
     corners, part = [mesh.corners[whole]], [np.flatnonzero(whole)]
     tip_points = [path[end] for _, path, end in ends]
     touch = []
-    for c, cell in polygons.items():
-        for p, polygon in zip(part_of[c], cell):
-            triangles = triangulate(np.array([edge[:2] for edge in polygon]), tip_points, mesh.sizes[c])
-            corners.append(triangles)
-            part.append(np.full(len(triangles), p))
+    split = [(p, c, [edge[:2] for edge in polygon])
+             for c, cell in polygons.items() for p, polygon in zip(part_of[c], cell)]
+    if split:
+        owner, cell, outlines = zip(*split)
+        triangles = triangulate([np.array(xy) for xy in outlines], tip_points, mesh.sizes[list(cell)])
+        corners += triangles
+        part.append(np.repeat(owner, [len(own) for own in triangles]))
     for t, tip in enumerate(tip_points):
         for c in touched_cells(mesh, tip, np.array([1.0, 0.0]), 0.0):
             for p, polygon in zip(part_of.get(c, [c]), polygons.get(c, [mesh.corners[c]])):
@@ -217,13 +220,24 @@ def _joins(mesh, polygons, part_of):
     touched[list(polygons)] = True
     plain = ~(touched[cell] | touched[other])
     joins, ends = [], []
-    for c, d, a, b in np.stack([cell, other, i, k], axis=1)[~plain].tolist():
-        start, travel = mesh.points[a], mesh.points[b] - mesh.points[a]
-        travel = travel / np.hypot(*travel)
-        sides = [_facets_on_edge(mesh, polygons, part_of, e, a, b) for e in (c, d)]
-        for p, q, low, high in _overlaps(*sides, SEVER * mesh.sizes[c]):
+    facets = _facets_on_edges(polygons, part_of)
+    cut = np.flatnonzero(~plain)
+    beyond = np.argmax(mesh.neighbours[other[cut]] == cell[cut, None], axis=1)
+    table = np.stack([cell[cut], local[cut], other[cut], beyond, i[cut], k[cut]], axis=1).tolist()
+    for (c, e, d, f, a, b), ((x0, y0), (x1, y1)), h in zip(
+        table, mesh.points[np.stack([i, k], axis=1)[cut]].tolist(), mesh.sizes[cell[cut]].tolist()
+    ):
+        length = hypot(x1 - x0, y1 - y0)
+        dx, dy = (x1 - x0) / length, (y1 - y0) / length
+        sides = []
+        for n, edge in ((c, e), (d, f)):
+            sides.append([(0.0, length, n)] if n not in polygons else [
+                (*sorted(((x - x0) * dx + (y - y0) * dy, (u - x0) * dx + (v - y0) * dy)), p)
+                for x, y, u, v, p in facets.get((n, edge), ())
+            ])
+        for p, q, low, high in _overlaps(*sides, SEVER * h):
             joins.append((p, q, a, b))
-            ends.append((start + low * travel, start + high * travel))
+            ends.append([(x0 + t * dx, y0 + t * dy) for t in (low, high)])
     for c, cell_polygons in polygons.items():
         lines = {}
         for p, polygon in zip(part_of[c], cell_polygons):
@@ -231,12 +245,12 @@ def _joins(mesh, polygons, part_of):
                 if tag >= 0 and by == UNCUT:
                     x1, y1 = polygon[(n + 1) % len(polygon)][:2]
                     lines.setdefault(tag, []).append((p, x, y, x1, y1))
-        for facets in lines.values():
-            _, x, y, x1, y1 = facets[0]
-            length = np.hypot(x1 - x, y1 - y)
+        for on_line in lines.values():
+            _, x, y, x1, y1 = on_line[0]
+            length = hypot(x1 - x, y1 - y)
             dx, dy = (x1 - x) / length, (y1 - y) / length
             sides = ([], [])
-            for p, xa, ya, xb, yb in facets:
+            for p, xa, ya, xb, yb in on_line:
                 ta, tb = (xa - x) * dx + (ya - y) * dy, (xb - x) * dx + (yb - y) * dy
                 sides[int(tb < ta)].append((min(ta, tb), max(ta, tb), p))
             for p, q, low, high in _overlaps(*sides, SEVER * mesh.sizes[c]):
@@ -249,23 +263,16 @@ def _joins(mesh, polygons, part_of):
     )
 
 
-def _facets_on_edge(mesh, polygons, part_of, c, a, b):
-    """Uncut intervals (t0, t1, part) along the mesh edge a-b of cell c, mm from a."""
-    if c not in polygons:
-        return [(0.0, float(np.hypot(*(mesh.points[b] - mesh.points[a]))), c)]
-    start, d = mesh.points[a], mesh.points[b] - mesh.points[a]
-    d = d / np.hypot(*d)
-    opposite = -1 - int(np.flatnonzero((mesh.cells[c] != a) & (mesh.cells[c] != b))[0])
-    found = []
-    for p, polygon in zip(part_of[c], polygons[c]):
-        for n, (x, y, tag, by) in enumerate(polygon):
-            if tag == opposite and by == UNCUT:
-                x1, y1 = polygon[(n + 1) % len(polygon)][:2]
-                t = sorted(
-                    ((x - start[0]) * d[0] + (y - start[1]) * d[1], (x1 - start[0]) * d[0] + (y1 - start[1]) * d[1])
-                )
-                found.append((t[0], t[1], p))
-    return found
+def _facets_on_edges(polygons, part_of):
+    """Uncut facets (x, y, x', y', part) on each edge (cell, opposite local node) of the cells in parts."""
+    facets = {}
+    for c, cell in polygons.items():
+        for p, polygon in zip(part_of[c], cell):
+            for n, (x, y, tag, by) in enumerate(polygon):
+                if tag < 0 and by == UNCUT:
+                    u, v = polygon[(n + 1) % len(polygon)][:2]
+                    facets.setdefault((c, -1 - tag), []).append((x, y, u, v, p))
+    return facets
 
 
 def _overlaps(one, two, least):
@@ -315,9 +322,11 @@ def _lips(mesh, segments, polygons, part_of):
 
 def _on_an_edge(mesh, cells, x):
     for c in cells:
-        corners = mesh.corners[c]
-        depth = [orient(corners[k - 1], corners[k], np.asarray(x)) for k in range(3)]
-        if min(depth) < SEVER * mesh.sizes[c] ** 2:
+        (ax, ay), (bx, by), (cx, cy) = mesh.corners[c].tolist()
+        u, v = x
+        depth = min((ex - sx) * (v - sy) - (ey - sy) * (u - sx) for sx, sy, ex, ey in
+                    ((ax, ay, bx, by), (bx, by, cx, cy), (cx, cy, ax, ay)))
+        if depth < SEVER * mesh.sizes[c] ** 2:
             return True
     return False
 
@@ -325,15 +334,18 @@ def _on_an_edge(mesh, cells, x):
 def _rim(mesh, polygons, part_of):
     """Facets of the organ's outline and the parts behind them, tissue on the left."""
     cell, local = np.nonzero(mesh.neighbours < 0)
-    parts, ends = [], []
-    for c, k in zip(cell.tolist(), local.tolist()):
-        if c not in polygons:
-            parts.append(c)
-            ends.append(mesh.corners[c][[(k + 1) % 3, (k + 2) % 3]])
-            continue
+    split = np.zeros(len(mesh.cells), dtype=bool)
+    split[list(polygons)] = True
+    # Each facet as one or more rows, in the order of the boundary.
+    order, parts = [np.flatnonzero(~split[cell])], [cell[~split[cell]]]
+    ends = [mesh.corners[cell[:, None], (local[:, None] + [1, 2]) % 3][~split[cell]]]
+    for row in np.flatnonzero(split[cell]).tolist():
+        c, k = int(cell[row]), int(local[row])
         for p, polygon in zip(part_of[c], polygons[c]):
             for n, (x, y, tag, _) in enumerate(polygon):
                 if tag == -1 - k:
-                    parts.append(p)
-                    ends.append(np.array([(x, y), polygon[(n + 1) % len(polygon)][:2]]))
-    return np.array(parts, dtype=int), np.array(ends).reshape(-1, 2, 2)
+                    order.append([row])
+                    parts.append([p])
+                    ends.append(np.array([[(x, y), polygon[(n + 1) % len(polygon)][:2]]]))
+    order = np.argsort(np.concatenate(order), kind="stable")
+    return np.concatenate(parts).astype(int)[order], np.concatenate(ends).reshape(-1, 2, 2)[order]
