@@ -11,17 +11,14 @@ are put on one line, whose tag they share.
 
 import numpy as np
 
+from xfemnav.geometry.bisection import UNCUT, split_cell
 from xfemnav.geometry.mesh import orient
 from xfemnav.geometry.snapping import SNAP
 
 # Fractions of the local element size h.
-ON_LINE = 1e-11  # a vertex as near as this to a line is on it
-REACH = 1e-8  # a segment that covers less of a chord than this does not cut it
 ONE_LINE = 4e-6  # two segments that stay as near as this to one line, inside a cell, are on it
 FLAT = 1e-13  # a triangle lower than this has no area but rounding
 HERE = 1e-5  # a corner as near as this to a node or tip is that node or tip
-
-UNCUT = -1
 
 
 class Segments:
@@ -46,14 +43,14 @@ def split_cells(mesh, segments, tips):
     for s, row in enumerate(segments.rows):
         for c in touched_cells(mesh, np.array(row[:2]), np.array(row[2:4]), row[4]):
             crossing.setdefault(int(c), []).append(s)
-    polygons = {}
+    polygons, ends = {}, np.array(tips).reshape(-1, 2)
     for c, crossed in sorted(crossing.items()):
         h = float(mesh.sizes[c])
-        (x0, y0), (x1, y1), (x2, y2) = mesh.corners[c].tolist()
-        cell = [[(x0, y0, -3, UNCUT), (x1, y1, -1, UNCUT), (x2, y2, -2, UNCUT)]]
-        for s, (row, line) in zip(crossed, _lines(crossed, segments, mesh.corners[c], tips, h)):
-            cell = [half for polygon in cell for half in _split(polygon, s, line, row, h)]
-        cell = [_with_vertices(polygon, tips, h) for polygon in cell]
+        rows, lines = zip(*_lines(crossed, segments, mesh.corners[c], tips, h))
+        edges, count = split_cell(mesh.corners[c], np.array(rows), np.array(crossed), np.array(lines), ends, h)
+        edges = [(x, y, int(tag), int(by)) for x, y, tag, by in edges.tolist()]
+        stop = np.cumsum(count).tolist()
+        cell = [edges[a:b] for a, b in zip([0, *stop], stop)]
         if len(cell) > 1 or len(cell[0]) > 3 or any(edge[3] != UNCUT for edge in cell[0]):
             polygons[c] = cell
     return polygons
@@ -96,87 +93,6 @@ def _lines(crossed, segments, corners, tips, h):
         else:
             leaders.append(s)
     return [found[s] for s in crossed]
-
-
-def _split(polygon, s, line, row, h):
-    """The two halves of a convex polygon on either side of segment s, or the polygon itself."""
-    ax, ay, dx, dy, length = row
-    along = [(x - ax) * dx + (y - ay) * dy for x, y, _, _ in polygon]
-    raw = [(y - ay) * dx - (x - ax) * dy for x, y, _, _ in polygon]
-    tolerance = ON_LINE * h
-    off = [0.0 if abs(o) < tolerance else o for o in raw]
-    if not min(off) < 0 < max(off):
-        return [_flag_edges_on_line(polygon, along, off, s, length, h)]
-    n = len(polygon)
-    for k in range(n):  # only vertices of the chord may lie on the line
-        if off[k] == 0 and off[(k + 1) % n] == 0:
-            worse = k if abs(raw[k]) > abs(raw[(k + 1) % n]) else (k + 1) % n
-            off[worse] = raw[worse] or tolerance
-    left, right, ends = [], [], []
-    for k, (x, y, tag, by) in enumerate(polygon):
-        o, o_next = off[k], off[(k + 1) % n]
-        if o == 0:
-            ends.append(along[k])
-            left.append((x, y, tag, by) if o_next > 0 else (x, y, line, UNCUT))
-            right.append((x, y, tag, by) if o_next < 0 else (x, y, line, UNCUT))
-            continue
-        (left if o > 0 else right).append((x, y, tag, by))
-        if o * o_next < 0:
-            x1, y1 = polygon[(k + 1) % n][:2]
-            w = o / (o - o_next)
-            xc, yc = x + w * (x1 - x), y + w * (y1 - y)
-            ends.append(along[k] + w * (along[(k + 1) % n] - along[k]))
-            (left if o > 0 else right).append((xc, yc, line, UNCUT))
-            (right if o > 0 else left).append((xc, yc, tag, by))
-    t0, t1 = min(ends), max(ends)
-    if min(t1, length) - max(t0, 0.0) <= REACH * h:
-        return [polygon]
-    return [_flag_chord(half, s, line, row, h) for half in (left, right)]
-
-
-def _flag_chord(half, s, line, row, h):
-    along = [(x - row[0]) * row[2] + (y - row[1]) * row[3] for x, y, _, _ in half]
-    on_line = [k for k, edge in enumerate(half) if edge[2] == line and edge[3] == UNCUT]
-    off = [1.0] * len(half)
-    for k in on_line:
-        off[k] = off[(k + 1) % len(half)] = 0.0
-    return _flag_edges_on_line(half, along, off, s, row[4], h)
-
-
-def _flag_edges_on_line(polygon, along, off, s, length, h):
-    """Mark the part of each edge on the segment's line that the segment covers; its ends become vertices."""
-    flagged = []
-    for k, (x, y, tag, by) in enumerate(polygon):
-        t0, t1 = along[k], along[(k + 1) % len(polygon)]
-        low, high = max(min(t0, t1), 0.0), min(max(t0, t1), length)
-        if off[k] != 0 or off[(k + 1) % len(polygon)] != 0 or by != UNCUT or high - low <= REACH * h:
-            flagged.append((x, y, tag, by))
-            continue
-        x1, y1 = polygon[(k + 1) % len(polygon)][:2]
-        start, stop = (low, high) if t1 > t0 else (high, low)
-        marks = [(t0, s if abs(start - t0) <= REACH * h else UNCUT)]
-        if marks[0][1] == UNCUT:
-            marks.append((start, s))
-        if abs(stop - t1) > REACH * h:
-            marks.append((stop, UNCUT))
-        for t, mark in marks:
-            w = (t - t0) / (t1 - t0)
-            flagged.append((x + w * (x1 - x), y + w * (y1 - y), tag, mark))
-    return flagged
-
-
-def _with_vertices(polygon, tips, h):
-    """The polygon with each tip that lies inside one of its edges as a vertex."""
-    for tip in tips:
-        for k, (x, y, tag, by) in enumerate(polygon):
-            x1, y1 = polygon[(k + 1) % len(polygon)][:2]
-            length = np.hypot(x1 - x, y1 - y)
-            t = ((tip[0] - x) * (x1 - x) + (tip[1] - y) * (y1 - y)) / length
-            off = ((tip[1] - y) * (x1 - x) - (tip[0] - x) * (y1 - y)) / length
-            if abs(off) < ON_LINE * h and REACH * h < t < length - REACH * h:
-                polygon = [*polygon[: k + 1], (float(tip[0]), float(tip[1]), tag, by), *polygon[k + 1 :]]
-                break
-    return polygon
 
 
 def triangulate(polygons, tips, h) -> list[np.ndarray]:

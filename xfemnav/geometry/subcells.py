@@ -14,9 +14,10 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
+from xfemnav.geometry.bisection import REACH, UNCUT
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array, orient
-from xfemnav.geometry.partition import HERE, REACH, UNCUT, Segments, split_cells, touched_cells, triangulate
+from xfemnav.geometry.partition import HERE, Segments, split_cells, touched_cells, triangulate
 from xfemnav.geometry.removal import parts_inside, walls
 from xfemnav.geometry.resection import Resection
 from xfemnav.geometry.snapping import SEVER, find_tips, mesh_net, snap, snap_region
