@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array, csr_array
+from scipy.sparse import csc_array, csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.mechanics.assembly import assemble
 from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.space import Space
 from xfemnav.mechanics.tip_stiffness import tip_blocks
@@ -126,15 +127,13 @@ def strain_operator(gradient) -> np.ndarray:
 
 def stiffness(space: Space, material: Material | Tissue, cells=None) -> csc_array:
     """K (n_dof, n_dof) kPa, per mm of thickness; symmetric. With `cells`, only their share: their element stiffness."""
-    subcells, n_dof = space.subcells, space.enrichment.n_dof
+    subcells = space.subcells
     chosen = np.ones(subcells.n_parts, bool) if cells is None else np.isin(subcells.part_cell, cells)
-    rows, columns, data = stiffness_entries(space, material, chosen)
-    K = coo_array((data, (rows, columns)), (n_dof, n_dof)).tocsc()
-    return csc_array((K + K.T) / 2)
+    return stiffness_of_parts(space, material, chosen)
 
 
-def stiffness_entries(space: Space, material: Material | Tissue, chosen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and values kPa, to be added up, of the stiffness of the `chosen` parts (p,) bool.
+def stiffness_of_parts(space: Space, material: Material | Tissue, chosen) -> csc_array:
+    """The share of the `chosen` parts (p,) bool in K (n_dof, n_dof) kPa.
 
     Plain and Heaviside parts carry constant gradients, so their integrals are exact. Parts with branch functions are
     integrated by the tip-adapted rule.
@@ -142,22 +141,27 @@ def stiffness_entries(space: Space, material: Material | Tissue, chosen) -> tupl
     subcells, table = space.subcells, space.enrichment
     branched = np.zeros(subcells.n_parts, dtype=bool)
     branched[space.branch_parts] = True
-    area = np.bincount(subcells.part, subcells.areas, subcells.n_parts)
     plain = np.flatnonzero(chosen & ~branched)
     cell = subcells.part_cell[plain]
-    K_c = plain_blocks(space.mesh.gradients[cell], area[plain], material.stiffness_in(cell))
-    dof = (2 * table.dof[plain][:, :, None] + np.arange(2)).reshape(-1, 6)
-    entries = [(np.repeat(dof, 6, axis=1).ravel(), np.tile(dof, (1, 6)).ravel(), K_c.ravel())]
+    mu, lam = material.lame_in(cell)
+    if material.stress_state == "stress":
+        lam = 2 * lam * mu / (lam + 2 * mu)
+    area = np.bincount(subcells.part, subcells.areas, subcells.n_parts)[plain]
+    tip_rows, blocks = np.empty((0, 3), np.int64), np.empty((0, 6, 6))
     about_tip = np.flatnonzero((chosen & branched)[subcells.part])
     if len(about_tip):
         points, weights, owner = tip_rule(subcells.corners[about_tip], subcells.tips)
         parts = subcells.part[about_tip][owner]
-        D = material.stiffness_in(subcells.part_cell[np.unique(parts)])
-        K_c, dof = tip_blocks(space, points, weights, parts, D)
-        rows, columns = np.broadcast_arrays(dof[:, :, None], dof[:, None, :])
-        own = (rows >= 0) & (columns >= 0)
-        entries.append((rows[own], columns[own], K_c[own]))
-    return tuple(np.concatenate(column) for column in zip(*entries))
+        blocks, tip_rows = tip_blocks(space, points, weights, parts, material)
+    return assemble(
+        table.n_rows, table.dof[plain], space.mesh.gradients[cell], lam * area, mu * area, tip_rows, blocks
+    )
+
+
+def stiffness_entries(space: Space, material: Material | Tissue, chosen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, columns and values kPa of `stiffness_of_parts`."""
+    K = stiffness_of_parts(space, material, chosen).tocoo()
+    return K.row, K.col, K.data
 
 
 def plain_blocks(gradients, area, D) -> np.ndarray:

@@ -13,11 +13,9 @@ from xfemnav.mechanics.space import Space
 VOIGT = np.array([[0, 2], [2, 1]])
 
 
-def tip_blocks(space: Space, points, weights, parts, D) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffness blocks (k, f, f) kPa and their degrees of freedom (k, f), -1 beyond a part's own, for the k parts with
+def tip_blocks(space: Space, points, weights, parts, material) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness blocks (k, 2 f, 2 f) kPa and their basis functions (k, f), -1 beyond a part's own, for the k parts with
     branch functions among `parts` (q,), which the quadrature points (q, 2) mm with weights (q,) mm^2 lie in.
-
-    D (k, 3, 3) kPa: the material of each of these parts, in ascending order.
     """
     table, sub = space.enrichment, space.subcells
     order = np.argsort(parts, kind="stable")
@@ -37,14 +35,14 @@ def tip_blocks(space: Space, points, weights, parts, D) -> tuple[np.ndarray, np.
         np.concatenate([[0], np.cumsum(count)]), table.entry_node[entry], table.entry_angle[entry],
         table.entry_ramp[entry], sub.tips[tip], sub.tip_travel[tip], table.shift[row[:, None] + np.arange(4)], M,
     )
-    C = D[:, VOIGT][..., VOIGT]
+    C = material.stiffness_in(cell)[:, VOIGT][..., VOIGT]
     K = np.einsum("cakbl,cikjl->caibj", M.reshape(len(own), most, 2, most, 2), C, optimize=True)
+    K = K.reshape(len(own), 2 * most, 2 * most)
     rows = np.full((len(own), most), -1)
     rows[:, :3] = table.dof[own]
     at = 3 + 4 * (np.arange(len(entry)) - np.repeat(np.cumsum(count) - count, count))
     rows[np.repeat(np.arange(len(own)), count)[:, None], at[:, None] + np.arange(4)] = row[:, None] + np.arange(4)
-    dof = np.where(rows[:, :, None] < 0, -1, 2 * rows[:, :, None] + np.arange(2))
-    return K.reshape(len(own), 2 * most, 2 * most), dof.reshape(len(own), 2 * most)
+    return (K + K.swapaxes(1, 2)) / 2, rows
 
 
 @njit(cache=True)
