@@ -12,7 +12,7 @@ import atheris
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 with atheris.instrument_imports(include=["xfemnav", "tomllib"]):
-    from tests.fuzz.targets import TARGETS, fed, seeds, words
+    from tests.fuzz.targets import READ, TARGETS, fed, seeds, words
 
 
 def main(name: str, seconds: str, folder: str | None = None) -> None:
@@ -24,7 +24,7 @@ def main(name: str, seconds: str, folder: str | None = None) -> None:
         (corpus / f"seed-{number}").write_bytes(seed)
     listed = ['"' + "".join(f"\\x{byte:02x}" for byte in word.encode()) + '"\n' for word in words(name)]
     dictionary.write_text("".join(listed))
-    arguments = [sys.argv[0], f"-max_total_time={int(seconds)}", "-max_len=8192", "-timeout=10", "-rss_limit_mb=1024",
+    arguments = [sys.argv[0], f"-max_total_time={int(seconds)}", f"-max_len={READ}", "-timeout=10", "-rss_limit_mb=1024",
                  "-print_final_stats=1", f"-artifact_prefix={home}/", str(corpus)]
     if listed:
         arguments.insert(-1, f"-dict={dictionary}")
