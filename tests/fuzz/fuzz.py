@@ -24,8 +24,8 @@ def main(name: str, seconds: str, folder: str | None = None) -> None:
         (corpus / f"seed-{number}").write_bytes(seed)
     listed = ['"' + "".join(f"\\x{byte:02x}" for byte in word.encode()) + '"\n' for word in words(name)]
     dictionary.write_text("".join(listed))
-    arguments = [sys.argv[0], f"-max_total_time={int(seconds)}", f"-max_len={READ}", "-timeout=10", "-rss_limit_mb=1024",
-                 "-print_final_stats=1", f"-artifact_prefix={home}/", str(corpus)]
+    arguments = [sys.argv[0], f"-max_total_time={int(seconds)}", f"-max_len={READ}", "-timeout=10",
+                 "-rss_limit_mb=1024", "-print_final_stats=1", f"-artifact_prefix={home}/", str(corpus)]
     if listed:
         arguments.insert(-1, f"-dict={dictionary}")
     atheris.Setup(arguments, lambda data: fed(name, data) and None)
