@@ -95,7 +95,7 @@ def _tell(space, cuts, resections, retractions, parts, what, fate):
     holes = np.unique(sub.wall_resection[parts[sub.wall_part]])
     names += [f"resection '{resections[k].name}'" for k in holes[holes >= 0]]
     by = " and ".join(names) or "the mesh"
-    pulled = any((r.cut, r.side) in sides for r in retractions)
+    pulled = any((r.cut, r.side) in sides and not r.holds for r in retractions)
     if fate == "refused" or (fate == "removed" and pulled):
         why = "a retractor pulls on that piece, but" if pulled else "and"
         raise XfemnavError(

@@ -3,11 +3,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import shapely
 from scipy.sparse import csc_array, csr_array, eye_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array, orient
+from xfemnav.geometry.moved_outline import moved_outline
 from xfemnav.mechanics.constraints import eliminate, multipliers
 from xfemnav.mechanics.contact import ContactForce, contact_forces
 from xfemnav.mechanics.elasticity import stiffness
@@ -42,7 +42,8 @@ class Solution:
     U (n_rows, 2) mm: coefficients of the basis; residual: relative; energy: strain energy, kPa mm^2 (per mm thick).
     Triangles of the cut organ, finer at the tips: rest (t, 3, 2) mm, moved (t, 3, 2) mm, the part (t,) of each,
     strain (t, 3) xx, yy, xy (Green-Lagrange's with the neo-Hookean model), and det_F (t,), the ratio of moved to
-    resting area. outline (k, 2) mm: the organ's moved outline, a closed loop that bridges the mouths by straight lines.
+    resting area. outline (k, 2) mm: the organ's moved outline, a closed loop that bridges the mouths by straight lines,
+    and goes on as at rest where tissue was removed.
     contact: where lips press on each other and the outline on the skull, by contact_force (g,) mN per mm, those of the
     problem's `contacts`; min_gap_mm: the smallest mean gap there.
     linear_difference_mm: the largest distance between a moved corner and where the linear model puts it; load_steps
@@ -151,13 +152,14 @@ def solve(problem: Problem) -> Solution:
         reaction = reaction - touching.G.T @ found.force
     U = U.reshape(-1, 2)
     triangles = _triangles(problem, U)
+    loop = problem.mesh.points[problem.mesh.boundary_loops[0]]
     by_linear = _moved(problem, triangles["rest"], triangles["part"], linear.U.reshape(-1, 2))
     return Solution(
         U=U,
         residual=found.residual,
         energy=found.energy,
         **triangles,
-        outline=_moved_outline(problem, U),
+        outline=moved_outline(loop, triangles["rest"], triangles["moved"]),
         retractor=_forces(problem, reaction, U),
         contact_force=found.force,
         contact=() if touching is None else contact_forces(touching, found.force),
@@ -226,38 +228,6 @@ def _triangles(problem, U):
 def _moved(problem, rest, part, U):
     """Moved corners (t, 3, 2) mm of triangles (t, 3, 2) mm at rest in parts (t,)."""
     return rest + (problem.space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3)) @ U).reshape(rest.shape)
-
-
-def _moved_outline(problem, U):
-    """Moved facets of the longest boundary loop, end to end; a straight line bridges each mouth.
-
-    Where tissue was removed at the surface the resting outline goes on, moved as its two ends are, linearly between.
-    """
-    sub, mesh = problem.subcells, problem.mesh
-    loop = mesh.points[mesh.boundary_loops[0]]
-    ring = shapely.LinearRing(loop)
-    middles = shapely.points(sub.rim_ends.mean(axis=1))
-    own = np.flatnonzero((shapely.distance(ring, middles) < 1e-6) & ~problem.removed[sub.rim_part])
-    if not len(own):
-        return loop
-    arc = shapely.line_locate_point(ring, middles[own])
-    own = own[np.argsort(arc)]
-    ends = sub.rim_ends[own]
-    u = (problem.space.basis_in(ends.reshape(-1, 2), np.repeat(sub.rim_part[own], 2)) @ U).reshape(-1, 2, 2)
-    half = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / 2
-    start, stop = np.sort(arc) - half, np.sort(arc) + half
-    gap = np.append(start[1:], start[0] + ring.length) - stop
-    node = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(loop, axis=0), axis=1))])
-    moved = []
-    for k in range(len(own)):
-        moved.append(ends[k] + u[k])
-        if gap[k] > 1e-6:
-            t = np.mod(node - stop[k], ring.length) / gap[k]
-            inside = np.flatnonzero((t > 0) & (t < 1))
-            inside = inside[np.argsort(t[inside])]
-            t = t[inside, None]
-            moved.append(loop[inside] + (1 - t) * u[k, 1] + t * u[(k + 1) % len(own), 0])
-    return np.concatenate(moved)
 
 
 def _forces(problem, reaction, U):

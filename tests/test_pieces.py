@@ -1,0 +1,150 @@
+"""Resected tissue moves nowhere and holds nothing; what is cut free is refused, removed, or held at its mean."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.meshes import BRAIN, cut_in, jittered, outline
+from tests.test_resection import box, circle
+from xfemnav.errors import XfemnavError, XfemnavWarning
+from xfemnav.geometry.resection import place_resection
+from xfemnav.imaging.warp import covered, enclosed, pull_back, update
+from xfemnav.mechanics.lips import Retraction, lip_quadrature
+from xfemnav.mechanics.loads import Gravity
+from xfemnav.mechanics.outline import Skull
+from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.solution import solve
+
+MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
+SKULL = Skull("fixed", 2.0, 1.0)
+OPEN = tuple(Retraction(0, side, normal_mm=0.2, blade=(0.0, 0.5)) for side in (1, -1))
+
+
+def taken(*rings, name="tumour"):
+    return (place_resection(rings, outline(MESH), name),)
+
+
+CORNER = cut_in(MESH, (-1, 3.1), (4.1, -1), name="approach")  # frees the corner, where the skull is open
+RING = taken(circle(6, 5, 3), circle(6, 5, 1.5))  # frees the disc inside
+
+
+@pytest.mark.parametrize("rings", [(circle(6, 5, 2),), (circle(0, 5, 3),), (box(4, -1, 7, 11),)])
+def test_at_rest_the_cavity_is_the_region_taken_out(rings):
+    """Nothing moves: the image's cavity has the region's area, also at the surface; pixels of .02 mm."""
+    solution = solve(pose(MESH, (), BRAIN, SKULL, resections=taken(*rings)))
+    assert np.abs(solution.U).max() == 0
+    grid = np.array([-0.99, -0.99]), np.array([0.02, 0.02]), (700, 600)
+    back = pull_back(solution.rest, solution.moved, *grid)
+    organ, now = covered(MESH.corners, *grid), enclosed(solution.outline, *grid)
+    image = update(np.ones(grid[2]), *grid[:2], organ, back, now=now)
+    # A pixel is in by its centre: the error is a part of the boundary's pixels.
+    (placed,) = taken(*rings)
+    assert abs(image.cavity.sum() * 4e-4 - placed.area_mm2) < 0.02 * placed.region.length / 4
+    assert not image.vacated.any()
+
+
+def test_the_outline_goes_on_across_a_notch():
+    cut = cut_in(MESH, (-1, 5), (6, 5))
+    solution = solve(pose(MESH, (cut,), BRAIN, SKULL, resections=taken(circle(0, 5, 3))))
+    x, y = solution.outline.T
+    assert_allclose(((x * np.roll(y, -1) - y * np.roll(x, -1)) / 2).sum(), MESH.areas.sum(), rtol=1e-12)
+
+
+def test_a_cut_through_a_resection_opens_what_is_left_of_it():
+    """A blade that reaches over the cavity holds both ends of the cut that are left, as prescribed."""
+    cut, hole = cut_in(MESH, (-1, 5), (10, 5.2)), taken(circle(5, 5, 1.2))
+    blade = (0.1, 0.7)
+    held = tuple(Retraction(0, side, normal_mm=0.2, blade=blade) for side in (1, -1))
+    problem = pose(MESH, (cut,), BRAIN, SKULL, held, resections=hole)
+    assert_allclose(problem.spans, np.tile(np.array(blade) * cut.length, (2, 1)), rtol=1e-3)
+    solution = solve(problem)
+    for side, span in zip((1, -1), problem.spans):
+        q = lip_quadrature(problem.space, 0, side, span)
+        assert q.weights.sum() < (span[1] - span[0]) - 2.3  # the hole is 2.4 mm wide
+        u = np.einsum("qi,qi->q", problem.space.basis_in(q.points, q.parts) @ solution.U, q.normals)
+        # The hats add up to one, so the mean over the lip is exact.
+        assert_allclose(q.weights @ u / q.weights.sum(), 0.2 * side, rtol=1e-9)
+    assert not problem.removed[solution.part].any()
+
+
+def test_a_force_is_spread_over_the_lip_that_is_left():
+    """The reaction of all conditions balances the whole force, though a part of the blade's lip is gone."""
+    cut, hole = cut_in(MESH, (-1, 5), (10, 5.2)), taken(circle(5, 5, 1.2))
+    force = Retraction(0, 1, force_mN_per_mm=(0.3, 1.0), blade=(0.1, 0.7))
+    problem = pose(MESH, (cut,), BRAIN, SKULL, (force,), resections=hole)
+    assert_allclose(problem.load.reshape(-1, 2)[problem.enrichment.kind < 2].sum(axis=0), (0.3, 1.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("blade", [(0.3, 0.5), (0.0, 0.9)])
+def test_a_blade_without_tissue_is_refused(blade):
+    cut = cut_in(MESH, (-1, 5), (10, 5.2))
+    hole = taken(box(2, 4, 6, 6)) if blade[0] else taken(box(-1, 4, 11, 6))
+    with pytest.raises(XfemnavError, match="E402"):
+        pose(MESH, (cut,), BRAIN, SKULL, (Retraction(0, 1, normal_mm=0.2, blade=blade),), resections=hole)
+
+
+def test_a_freed_piece_is_refused_by_name():
+    with pytest.raises(XfemnavError, match=r"E306 resection 'tumour' frees .* \(\d+\.\d, \d+\.\d\) mm"):
+        pose(MESH, (), BRAIN, SKULL, resections=RING)
+    with pytest.raises(XfemnavError, match="E306 cut 'approach' frees"):
+        pose(MESH, (CORNER,), BRAIN, Skull("fixed", 9.0, 1.0))
+
+
+def test_a_freed_piece_is_removed_when_asked():
+    with pytest.warns(XfemnavWarning, match="W312"):
+        problem = pose(MESH, (), BRAIN, SKULL, resections=RING, loose="remove")
+    whole = pose(MESH, (), BRAIN, SKULL, resections=taken(circle(6, 5, 3)))
+    assert [piece.fate for piece in problem.pieces] == ["fixed", "removed"]
+    assert_allclose(problem.pieces[1].area_mm2, shapely_area(1.5), rtol=1e-3)
+    assert_allclose(solve(problem).rest_areas.sum(), solve(whole).rest_areas.sum(), rtol=1e-4)
+
+
+def shapely_area(radius, n=40):
+    return n / 2 * radius**2 * np.sin(2 * np.pi / n)
+
+
+@pytest.mark.parametrize("n", [1.0, 0.25])
+def test_a_freed_piece_is_held_at_its_mean(n):
+    """Gravity's resultant is taken up by the mean: the piece neither moves nor turns, but deforms.
+
+    A finer mesh has more functions than the mean is taken over.
+    """
+    mesh = jittered(12.0, 10.0, n, 0.25, seed=25)
+    ring = (place_resection([circle(6, 5, 4), circle(6, 5, 2.5)], outline(mesh)),)
+    with pytest.warns(XfemnavWarning, match="W313"):
+        problem = pose(mesh, (), BRAIN, SKULL, resections=ring, loose="hold", gravity=Gravity((0.6, -0.8)))
+    assert [piece.fate for piece in problem.pieces] == ["fixed", "held"]
+    solution = solve(problem)
+    own = np.linalg.norm(solution.rest.mean(axis=1) - (6, 5), axis=1) < 3
+    u = solution.moved[own] - solution.rest[own]
+    x = solution.rest[own] - (6, 5)
+    w = solution.rest_areas[own, None] / 3
+    mean = np.array([(w * f).sum() / w.sum() / 3 for f in (u[..., 0], u[..., 1])])
+    turn = (w * (x[..., 0] * u[..., 1] - x[..., 1] * u[..., 0])).sum() / (w * (x**2).sum(axis=2)).sum()
+    size = np.abs(u).max()
+    assert size > 0 and solution.residual < 1e-8
+    # Means over a part of the nodes, or by lumped instead of consistent weights, differ by a share of the strain.
+    assert np.abs(mean).max() < 0.3 * size and abs(turn) * 2.5 < 0.3 * size
+
+
+def test_a_mean_over_several_pieces_holds_none_of_them_alone():
+    """One blade over a stretch of lip that crossings cut in pieces: what its few means leave free is found."""
+    stem = cut_in(MESH, (1.0, 5.05), (11.0, 5.05), internal=True)
+    comb = [cut_in(MESH, (x, 5.05), (x, 6.5), (x + 0.45, 6.5), (x + 0.45, 5.05), internal=True)
+            for x in (3.03, 3.55, 4.07)]
+    held = Retraction(0, 1, normal_mm=0.1, blade=(0.1, 0.9))
+    with pytest.warns(XfemnavWarning, match="W31"):
+        problem = pose(MESH, (stem, *comb), BRAIN, SKULL, (held,), loose="remove")
+    solution = solve(problem)
+    assert np.isfinite(solution.U).all() and solution.residual < 1e-8
+
+
+def test_a_retractor_does_not_pull_on_a_removed_piece():
+    pull = Retraction(0, -1, force_mN_per_mm=(0.0, -1.0))
+    with pytest.raises(XfemnavError, match=r"E306 .* pulls"):
+        pose(MESH, (CORNER,), BRAIN, Skull("fixed", 9.0, 1.0), (pull,), loose="remove")
+
+
+def test_unknown_ways_with_loose_pieces_are_refused():
+    with pytest.raises(ValueError, match="magic"):
+        pose(MESH, (), BRAIN, SKULL, loose="magic")
