@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.cut import Cut, left_normals
 from xfemnav.mechanics.constraints import Constraints, vector_rows
+from xfemnav.mechanics.quadrature import gauss
 from xfemnav.mechanics.space import Space
 
 LEFT, RIGHT = 1, -1
@@ -80,7 +81,7 @@ def lip_quadrature(space: Space, cut: int, side: int, span, breaks=(), n: int = 
     facet = order[np.clip(np.searchsorted(sub.lip_arc[order, 0], middle) - 1, 0, len(order) - 1)]
     on = (middle > sub.lip_arc[facet, 0]) & (middle < sub.lip_arc[facet, 1]) & (np.diff(cuts) > 0)
     low, high, facet = cuts[:-1][on], cuts[1:][on], facet[on]
-    t, w = np.polynomial.legendre.leggauss(n)
+    t, w = gauss(n)
     arc = (low[:, None] + (high - low)[:, None] * (t + 1) / 2).ravel()
     weights = ((high - low)[:, None] * w / 2).ravel()
     facet = np.repeat(facet, n)

@@ -221,8 +221,10 @@ def _springs(space, skull, depth, kinds, material, unknown):
     cell = sub.part_cell[rim.parts]
     beyond = STRADDLE_PENALTY * material.stiffness_in(cell)[:, 0, 0] / space.mesh.sizes[cell]
     k = weights * np.where(distance >= skull.ramp_mm, beyond, material.young_in(cell) / RAMP_STIFFNESS_MM * x / (1 - x))
-    B = space.basis_in(rim.points, rim.parts)
     slides = kinds[rim.facet] == "sliding"
+    if not slides.any():
+        return _spring_matrix(space, rim, k)
+    B = space.basis_in(rim.points, rim.parts)
     along = normal_rows(B, rim.normals, np.zeros(len(k)), SKULL).C
     sliding = along.T @ along.multiply((k * slides)[:, None]).tocsr()
     return csr_array(_spring_matrix(space, rim, np.where(slides, 0.0, k)) + sliding)
@@ -248,5 +250,7 @@ def _weighted(space, measured, weight):
 
 def _weak(space, facets, material):
     """Springs of 1e-6 E / mm along facets of the outline."""
+    if not len(facets):
+        return csr_array((space.enrichment.n_dof,) * 2)
     rim, weights = rim_quadrature(space, facets, pieces=1, n=2)
     return _spring_matrix(space, rim, WEAK * weights * material.young_in(space.subcells.part_cell[rim.parts]))

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.mesh import orient
+from xfemnav.geometry.mesh import frozen_array, orient
 
 #: A triangle is subdivided until it is no larger than this times its distance to the nearest tip.
 NEAR = 1.0
@@ -16,10 +16,16 @@ LOPSIDED = 4.0  # largest ratio of its two edges at the tip; beyond, the radius 
 
 
 @cache
+def gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss points (n,) in -1..1 and their weights."""
+    points, weights = np.polynomial.legendre.leggauss(n)
+    return frozen_array(points, float, (n,), "points"), frozen_array(weights, float, (n,), "weights")
+
+
+@cache
 def _unit_square(n_radial, n_angular):
     """Gauss points and weights of the unit square."""
-    s, ws = np.polynomial.legendre.leggauss(n_radial)
-    t, wt = np.polynomial.legendre.leggauss(n_angular)
+    (s, ws), (t, wt) = gauss(n_radial), gauss(n_angular)
     s, t = (s + 1) / 2, (t + 1) / 2
     return np.repeat(s, n_angular), np.tile(t, n_radial), np.outer(ws, wt).ravel() / 4
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xfemnav.mechanics.quadrature import gauss
 from xfemnav.mechanics.space import Space
 
 
@@ -33,7 +34,7 @@ def rim_points(space: Space) -> Rim:
 
 def rim_quadrature(space: Space, facets, pieces: int = 8, n: int = 4) -> tuple[Rim, np.ndarray]:
     """n Gauss points in each of equal pieces of the facets (f,), and their weights (q,) mm."""
-    t, w = np.polynomial.legendre.leggauss(n)
+    t, w = gauss(n)
     t, w = ((np.arange(pieces)[:, None] + (t + 1) / 2) / pieces).ravel(), np.tile(w / 2 / pieces, pieces)
     rim = _rim(space, np.repeat(facets, len(t)), np.tile(t, len(facets)))
     return rim, rim.lengths * np.tile(w, len(facets))
