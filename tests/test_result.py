@@ -79,6 +79,17 @@ def test_cavity_and_outline_are_the_runs(opened):
     assert np.abs(opened.outline - solution.outline).max() < 1e-5    # points are rounded to 1e-6 mm
 
 
+def test_what_the_outline_has_left_is_no_cavity(opened, tmp_path):
+    """A free outline draws back from the skull: the same pixels are vacated as in the run."""
+    home = opened.folder.parent
+    free = xfemnav.run(home / "head.nii.gz", cut=CUT, opening_mm=10.0, skull="free", blade="0,0.6", output=tmp_path,
+                       cache=home / "cache", **COARSE)
+    pixel = float(np.prod(free.frame.spacing))
+    checks = free.record["checks"]
+    assert free.update.vacated.sum() * pixel == pytest.approx(checks["vacated_mm2"]) and checks["vacated_mm2"] > 20
+    assert free.update.cavity.sum() * pixel == pytest.approx(checks["cavity_mm2"])
+
+
 @pytest.mark.parametrize("order, signs, name", [("RAS", (1, 1), "r.nii.gz"), ("ARS", (-1, 1), "l.nrrd"),
                                                 ("SAR", (-1, -1), "p.mha")])
 def test_an_image_on_any_grid_goes_along(opened, tmp_path, order, signs, name):
