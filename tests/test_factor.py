@@ -1,0 +1,48 @@
+"""Factors solve what they were made of, and refuse what has no minimum; both factorisations alike."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.sparse import csc_array
+
+from tests.meshes import BRAIN, jittered, space_of
+from xfemnav.mechanics.elasticity import stiffness
+from xfemnav.mechanics.factor import NotPositiveDefinite, by_cholmod, by_superlu, factor
+
+without = pytest.mark.skipif(importlib.util.find_spec("sksparse") is None, reason="the extra cholmod is not installed")
+WAYS = [by_superlu, pytest.param(by_cholmod, marks=without), factor]
+
+
+def held_sheet() -> csc_array:
+    """Stiffness of a sheet that is held along its lower edge."""
+    mesh = jittered(12.0, 10.0, 1.0, 0.25, seed=4)
+    free = np.repeat(mesh.points[:, 1] > 1e-9, 2)
+    return csc_array(stiffness(space_of(mesh), BRAIN)[free][:, free])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_it_solves_for_one_load_and_for_many(way):
+    A = held_sheet()
+    found, x = way(A), np.random.default_rng(0).normal(size=(A.shape[0], 3))
+    # the condition number of this sheet is about 1e4
+    assert_allclose(found.solve(A @ x), x, atol=1e-10)
+    assert_allclose(found.solve(A @ x[:, 0]), x[:, 0], atol=1e-10)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_the_product_of_the_pivots_is_the_determinant(way):
+    A = held_sheet()
+    pivots = way(A).pivots()
+    assert (pivots > 0).all()
+    assert np.log(pivots).sum() == pytest.approx(np.linalg.slogdet(A.toarray())[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_has_no_minimum_is_refused(way):
+    A = held_sheet()
+    with pytest.raises(NotPositiveDefinite):
+        way(csc_array(A - 2 * A.diagonal().max() * csc_array(np.eye(A.shape[0]))))
+    with pytest.raises(NotPositiveDefinite):
+        way(csc_array((3, 3)))
