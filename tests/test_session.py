@@ -1,6 +1,8 @@
 """A session answers as runs do: the same cut, blades, image and forces, whatever moved before; and what it refuses."""
 
 import doctest
+from pathlib import Path
+from runpy import run_path
 
 import numpy as np
 import pytest
@@ -176,3 +178,9 @@ def test_what_needs_a_cut_or_an_image_says_so(session):
     for refused in (lambda: bare.open(left=1.0), lambda: bare.extend_cut([0, 0]), bare.image):
         with pytest.raises(XfemnavError, match="E780"):
             refused()
+
+
+def test_the_example_follows_every_pose(capsys):
+    path = Path(__file__).parents[1] / "docs" / "live_example.py"
+    assert run_path(path)["main"](seconds=0.2) == 7  # 6 of the blades at 30 Hz, 1 of the tip
+    assert "mm apart" in capsys.readouterr().out
