@@ -2,7 +2,7 @@
 
     python -m benchmarks.networks [case ...] [--page]
 
-Cases: those of benchmarks/reference/networks.py, and f2; all without a name (about five minutes on one core). Results
+Cases: those of benchmarks/reference/networks.py, and f2; all without a name (about seven minutes on one core). Results
 are kept in benchmarks/results/networks.json, one entry a case; the page is written from all of them, with --page alone
 from what is there. The conforming references are computed once, into out/reference.
 """

@@ -16,7 +16,7 @@ FREE_TIP = (
 
 TEXT = """# Networks of cuts
 
-Written by `python -m benchmarks.networks` (about five minutes on one core; `--page` alone writes the page again from
+Written by `python -m benchmarks.networks` (about seven minutes on one core; `--page` alone writes the page again from
 `benchmarks/results/networks.json`). Branches, crossings, T-cuts and resections, beside the conforming reference of
 [accuracy.md](accuracy.md): gmsh with the cuts embedded and a resection left out, nodes split, quadratic elements.
 
