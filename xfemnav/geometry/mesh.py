@@ -83,6 +83,17 @@ class Mesh:
         return across.reshape(-1, 3)
 
     @cached_property
+    def valences(self) -> np.ndarray:
+        """Number (n,) of cells about each node."""
+        return np.bincount(self.cells.ravel(), minlength=len(self.points))
+
+    @cached_property
+    def reaches(self) -> tuple[np.ndarray, np.ndarray]:
+        """Middle (m, 2) mm of each cell, and a distance (m, 1) mm well beyond its corners."""
+        middle = self.corners.mean(axis=1)
+        return middle, 1.5 * np.linalg.norm(self.corners - middle[:, None], axis=2).max(axis=1)[:, None]
+
+    @cached_property
     def boundary_edges(self) -> np.ndarray:
         """Edges (b, 2) of the boundary, tissue on their left."""
         cell, local = np.nonzero(self.neighbours < 0)

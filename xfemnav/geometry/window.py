@@ -29,26 +29,24 @@ def window(mesh: Mesh, path, radius: float = 0.0, also=()) -> Window:
     node with them; and the cells `also` named. A node whose support the path crosses is not on the border."""
     near = np.zeros(len(mesh.points), dtype=bool)
     near[mesh.cells[near_cells(mesh, path, radius)]] = True
-    chosen = near[mesh.cells].any(axis=1)
+    chosen = near[mesh.cells[:, 0]] | near[mesh.cells[:, 1]] | near[mesh.cells[:, 2]]
     chosen[np.asarray(also, int)] = True
     cells = np.flatnonzero(chosen)
-    inside = np.zeros(len(mesh.points), dtype=bool)
-    inside[mesh.cells[cells]] = True
-    outside = np.zeros(len(mesh.points), dtype=bool)
-    outside[mesh.cells[~chosen]] = True
-    nodes = np.flatnonzero(inside)
-    number = np.empty(len(inside), dtype=int)
+    count = np.bincount(mesh.cells[cells].ravel(), minlength=len(mesh.points))
+    nodes = np.flatnonzero(count)
+    number = np.empty(len(count), dtype=int)
     number[nodes] = np.arange(len(nodes))
-    return Window(Mesh(mesh.points[nodes], number[mesh.cells[cells]]), cells, nodes, outside[nodes])
+    border = count[nodes] < mesh.valences[nodes]
+    return Window(Mesh(mesh.points[nodes], number[mesh.cells[cells]]), cells, nodes, border)
 
 
 def near_cells(mesh: Mesh, path, radius: float = 0.0) -> np.ndarray:
     """Cells (k,) within a twentieth of their size, or LIP, of the path (n, 2) mm, or within `radius` mm of an end."""
     path = np.asarray(path, float)
-    slack = np.maximum(SLACK * mesh.sizes, LIP)
-    low, high = mesh.corners.min(axis=1) - slack[:, None], mesh.corners.max(axis=1) + slack[:, None]
-    boxed = np.flatnonzero(((low <= path.max(axis=0)) & (high >= path.min(axis=0))).all(axis=1))
-    corners, slack = mesh.corners[boxed], slack[boxed]
+    middle, reach = mesh.reaches
+    low, high = path.min(axis=0), path.max(axis=0)
+    boxed = np.flatnonzero(((middle >= low - reach) & (middle <= high + reach)).all(axis=1))
+    corners, slack = mesh.corners[boxed], np.maximum(SLACK * mesh.sizes[boxed], LIP)
     near = np.zeros(len(boxed), dtype=bool)
     for a, b in zip(path[:-1], path[1:]):
         length = np.hypot(*(b - a))
