@@ -173,6 +173,19 @@ def test_what_a_session_cannot_do_is_named(session, head):
         session.image(np.zeros((3, 3)))
 
 
+def test_a_cut_that_fails_leaves_the_one_before(session):
+    session.cut(PLAN)
+    session.open(left=2.0, right=2.0, blade=(0.0, 0.7))
+    before = session.image(), session.nodes, session.forces()
+    for path in ([[-80.0, 0.0], [-70.0, 0.0]], [[-46.0, 9.0], [-43.0, 8.5]]):  # outside; too short for its blades
+        with pytest.raises(XfemnavError, match=r"E301|E402"):
+            session.cut(path)
+        assert np.array_equal(session.image(), before[0]) and np.array_equal(session.nodes, before[1])
+        assert session.forces() == before[2]
+    session.open(left=1.0, right=1.0, blade=(0.0, 0.7))
+    assert_allclose(2 * session.nodes, before[1], atol=1e-12)
+
+
 def test_what_needs_a_cut_or_an_image_says_so(session):
     bare = Session(session.mesh, corridor=PLAN)
     for refused in (lambda: bare.open(left=1.0), lambda: bare.extend_cut([0, 0]), bare.image):

@@ -178,9 +178,9 @@ def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections)
     joined = removed[joins[:, 0]] == removed[joins[:, 1]]
     faces = _lips(mesh, segments, polygons, part_of)
     gone = removed[np.array([row[3] for row in faces], dtype=int).reshape(-1, 2)]
-    lips = [row for row, k in zip(faces, gone) if not k.any() and row[0] < len(paths)]
+    lips = [row for row, k in zip(faces, gone.any(axis=1).tolist()) if not k and row[0] < len(paths)]
     # A resection's line that merged with another leaves contacts between what stays and what goes: walls as well.
-    bare = [row for row, k in zip(faces, gone) if k.sum() == 1]
+    bare = [row for row, k in zip(faces, (gone[:, 0] != gone[:, 1]).tolist()) if k]
     wall_ends = np.concatenate([np.array([row[2] for row in bare]).reshape(-1, 2, 2), join_ends[~joined]])
     wall_parts = np.concatenate([np.array([row[3] for row in bare], dtype=int).reshape(-1, 2), joins[~joined, :2]])
     rim_part, rim_ends = _rim(mesh, polygons, part_of)

@@ -59,25 +59,16 @@ class Session:
     def cut(self, path) -> None:
         """Cut along a path, from the surface inwards, in the place of the cut before; the blades keep what they do.
 
-        Raises what a run would of the cut (E301 to E305), and E314 when it goes right through.
+        Raises what a run would of the cut (E301 to E305), and E314 when it goes right through; then the cut before
+        stays.
         """
-        from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
-        from xfemnav.mechanics.live_motion import Soup
-
-        placed, how = self._placed(self._plane(path)), self._settings.tip_enrichment
+        before = dict(self.__dict__)
         try:
-            try:
-                incision = incise(self._organ, (placed,), how)
-            except OutOfReach:
-                warn("W315", "the cut has left the session's corridor, and the organ is condensed anew about it.")
-                self._condense(placed)
-                incision = incise(self._organ, (placed,), how)
-        except CutThrough:
-            raise XfemnavError("E314", f"cut '{NAME}' goes right through the tissue, which a session cannot do; let it "
-                                       "end inside, or make a run of it.") from None
-        self._incision, self._soup = incision, Soup(self._organ, incision)
-        self._modes, self._drawn = {}, self._rows(path)
-        self._move(*(self._asked or ({}, BLADE)), at_once=True)
+            self._cut(path)
+        except XfemnavError:  # all is as it was
+            self.__dict__.clear()
+            self.__dict__.update(before)
+            raise
 
     def extend_cut(self, point) -> None:
         """Lengthen the cut to a point."""
@@ -154,6 +145,25 @@ class Session:
         from xfemnav.imaging.warp import covered
 
         return covered(self.mesh.corners, self.frame.origin, self.frame.spacing, self.frame.values.shape)
+
+    def _cut(self, path) -> None:
+        from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
+        from xfemnav.mechanics.live_motion import Soup
+
+        placed, how = self._placed(self._plane(path)), self._settings.tip_enrichment
+        try:
+            try:
+                incision = incise(self._organ, (placed,), how)
+            except OutOfReach:
+                warn("W315", "the cut has left the session's corridor, and the organ is condensed anew about it.")
+                self._condense(placed)
+                incision = incise(self._organ, (placed,), how)
+        except CutThrough:
+            raise XfemnavError("E314", f"cut '{NAME}' goes right through the tissue, which a session cannot do; let it "
+                                       "end inside, or make a run of it.") from None
+        self._incision, self._soup = incision, Soup(self._organ, incision)
+        self._modes, self._drawn = {}, self._rows(path)
+        self._move(*(self._asked or ({}, BLADE)), at_once=True)
 
     def _move(self, moves: dict, blade: tuple[float, float], at_once: bool) -> None:
         """Put the lips where `moves` says; `at_once` for a cut that has not been opened yet: its modes come later."""
