@@ -76,7 +76,8 @@ def posed(
     lift = np.asarray(lift, float)
     lips = tuple(Retraction(0, side, displacement_mm=tuple(side * lift), blade=(0.0, held)) for side in (1, -1))
     skull = Skull("fixed", FREE, ramp_mm)
-    return pose(mesh, (cut,), material, skull, lips, tip_enrichment=enrichment, lip_constraint=lip_constraint)
+    held = {"tip_enrichment": enrichment, "lip_constraint": lip_constraint}
+    return pose(mesh, (cut,), material, skull, lips, lips="free", **held)
 
 
 @dataclass(frozen=True, eq=False)
