@@ -109,15 +109,18 @@ def pull_back(rest, moved, origin, spacing, shape) -> PullBack:
     return PullBack(*_rasterise(rest, moved, origin, spacing, *shape), origin, spacing, _gradients(rest, moved))
 
 
-def _gradients(rest, moved) -> np.ndarray:
+@njit(cache=True)
+def _gradients(rest, moved):
     """Deformation gradients (t, 2, 2) of triangles; of one that is flat at rest the identity."""
-    G, M = ((x[:, 1:] - x[:, :1]).swapaxes(1, 2) for x in (rest, moved))
-    (a, b), (c, d) = np.moveaxis(G, 0, -1)
-    determinant = a * d - b * c
-    flat = determinant == 0
-    adjugate = np.moveaxis(np.array([[d, -b], [-c, a]]), -1, 0)
-    F = M @ adjugate / np.where(flat, 1, determinant)[:, None, None]
-    F[flat] = np.eye(2)
+    F = np.empty((len(rest), 2, 2))
+    for c in range(len(rest)):
+        r = rest[c]
+        gx, gy, hx, hy = r[1, 0] - r[0, 0], r[1, 1] - r[0, 1], r[2, 0] - r[0, 0], r[2, 1] - r[0, 1]
+        twice = gx * hy - hx * gy
+        for i in range(2):
+            g, h = moved[c, 1, i] - moved[c, 0, i], moved[c, 2, i] - moved[c, 0, i]
+            F[c, i, 0] = (g * hy - h * gy) / twice if twice != 0 else 1.0 - i
+            F[c, i, 1] = (h * gx - g * hx) / twice if twice != 0 else float(i)
     return F
 
 
@@ -284,14 +287,17 @@ def _rasterise(rest, moved, origin, spacing, n1, n2):
         if first > last:
             continue
         n_left = _crossings(m, twice > 0, edges)
+        # one or two edges on either side; a single one is taken twice, which spares the rows a branch
+        a0, a1, a2 = edges[0]
+        b0, b1, b2 = edges[n_left - 1]
+        c0, c1, c2 = edges[n_left]
+        d0, d1, d2 = edges[2]
         for i in range(first, last + 1):
             begin, end, inner_begin, inner_end = max(left, 0.0), min(right, n2 - 1.0), -1.0, float(n2)
-            for k in range(3):
-                at, width = edges[k, 0] + edges[k, 1] * i, edges[k, 2]
-                if k < n_left:
-                    begin, inner_begin = max(begin, at - width), max(inner_begin, at + width)
-                else:
-                    end, inner_end = min(end, at + width), min(inner_end, at - width)
+            at, other = a0 + a1 * i, b0 + b1 * i
+            begin, inner_begin = max(begin, at - a2, other - b2), max(inner_begin, at + a2, other + b2)
+            at, other = c0 + c1 * i, d0 + d1 * i
+            end, inner_end = min(end, at + c2, other + d2), min(inner_end, at - c2, other - d2)
             start0 = r[0, 0] + A00 * (i - m[0, 0]) - A01 * m[0, 1]
             start1 = r[0, 1] + A10 * (i - m[0, 0]) - A11 * m[0, 1]
             for j in range(int(np.ceil(begin)), int(np.floor(end)) + 1):
