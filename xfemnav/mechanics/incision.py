@@ -112,7 +112,7 @@ def incise(
     springs = outline.springs.tocoo()
     held = np.zeros(table.n_rows)
     held[: len(mesh.points)] = organ.held[part.nodes]
-    rest = chosen(outline.constraints, abs(outline.constraints.C) @ np.repeat(held, 2) == 0)
+    fixed, skull = _live(outline.constraints, np.repeat(held, 2))
     # Where a basis function is new, all parts of the cell are integrated anew.
     n = len(mesh.points)
     new = (table.dof >= n).any(axis=1)
@@ -122,7 +122,7 @@ def incise(
     parts = cells[sub.part_cell]
     needed = np.zeros(table.n_rows, dtype=bool)
     for rows in (table.dof[parts], table.dof[sub.lip_parts], table.entry_row[:, None] + np.arange(4),
-                 mesh.cells[cells], rest.C.indices // 2, springs.row // 2):
+                 mesh.cells[cells], fixed // 2, skull.C.indices // 2, springs.row // 2):
         needed[rows] = True
     if needed[held > 0].any():
         raise OutOfReach
@@ -133,10 +133,9 @@ def incise(
     i, j, values = stiffness_entries(space, material, parts)
     np.add.at(K, (number[i], number[j]), values)
     np.add.at(K, (number[springs.row], number[springs.col]), springs.data)
-    fixed, skull = _fixed(rest, number)
     uncut = _condensed(organ, part.nodes[rows[rows < n]])
     outside = uncut - _plain(part.mesh, material, np.flatnonzero(cells), rows[rows < n])
-    A, R = _scaled(space, material, tip_enrichment, K, outside, rows, fixed)
+    A, R = _scaled(space, material, tip_enrichment, K, outside, rows, number[fixed])
     return Incision(organ, cuts, part, space, rows, number, uncut, A, R, skull)
 
 
@@ -212,10 +211,13 @@ def _plain(mesh, material, cells, nodes):
     return K
 
 
-def _fixed(conditions, number):
-    """Unknowns that the skull holds at zero, and its other conditions."""
-    single = np.diff(conditions.C.indptr) == 1
-    return number[conditions.C[np.flatnonzero(single)].indices], chosen(conditions, ~single)
+def _live(conditions, held) -> tuple[np.ndarray, Constraints]:
+    """Degrees of freedom that the skull fixes, and its other conditions; without those on what is `held` (n_dof,)."""
+    C = conditions.C
+    count = np.diff(C.indptr)
+    free = np.bincount(np.repeat(np.arange(len(count)), count), held[C.indices], len(count)) == 0
+    single = count == 1
+    return C.indices[C.indptr[:-1][free & single]], chosen(conditions, free & ~single)
 
 
 def _scaled(space, material, tip_enrichment, K, outside, rows, fixed):
