@@ -20,6 +20,7 @@ HOMES = {
     "numpy": EVERYWHERE - {"cli"},
     "scipy": EVERYWHERE - {"cli"},
     "numba": {"geometry", "mechanics", "imaging"},
+    "sksparse": {"mechanics"},
     "shapely": EVERYWHERE - {"cli"},
     "nibabel": {"imaging"},
     "SimpleITK": {"imaging"},

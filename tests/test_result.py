@@ -228,12 +228,15 @@ def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
     (toy / "geometry" / "caller.py").write_text(
         kernel.format("from xfemnav.geometry.helper import helper", "caller", "helper()"))
     command = ("from xfemnav.pipeline.kernels import settle_kernel_cache; settle_kernel_cache()\n"
-               "from xfemnav.geometry.caller import caller; print(caller())")
+               "from xfemnav.pipeline.kernels import first_use; new = first_use()\n"
+               "from xfemnav.geometry.caller import caller; print(caller(), new, first_use())")
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     for value in (1, 2):
         (toy / "geometry" / "helper.py").write_text(kernel.format("", "helper", value))
-        got = subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True, check=True)
-        assert got.stdout.strip() == str(value)
+        for new in (True, False):
+            got = subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True,
+                                 check=True)
+            assert got.stdout.split() == [str(value), str(new), "False"]
     old, forgotten = tmp_path / f"{kernels.NAME}old", tmp_path / f"{kernels.NAME}forgotten"
     for folder in (old, forgotten):
         folder.mkdir()
@@ -241,7 +244,7 @@ def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     kernels.settle_kernel_cache()
     assert old.exists() and not forgotten.exists()
-    folders = list((toy / "geometry" / "__pycache__").glob(f"{kernels.NAME}*"))
+    folders = list((toy / "__pycache__").glob(f"{kernels.NAME}*"))
     assert len(folders) == 2 and all(list(folder.rglob("*caller*.nbc")) for folder in folders)
     assert {path.parent.name for path in keys.PACKAGE.rglob("*.py") if "import njit" in path.read_text()} == set(
         kernels.LAYERS)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import SimpleITK as sitk
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.formats import impossible, not_read
@@ -113,6 +112,8 @@ def pixels(plane: Plane) -> np.ndarray:
 
 def _decompressed(plane: Plane) -> np.ndarray:
     """GDCM's reading of the file, which applies slope and intercept."""
+    import SimpleITK as sitk  # few files need it, and it takes as long to load as a slice to warp
+
     reader = sitk.ImageFileReader()
     reader.SetImageIO("GDCMImageIO")
     reader.SetFileName(str(plane.path))

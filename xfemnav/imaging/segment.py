@@ -15,7 +15,6 @@ from xfemnav.imaging.masks import clean, dice, one_piece
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import Slice, values_on
 from xfemnav.imaging.stripped import foreground, is_stripped
-from xfemnav.imaging.svc import classify, register
 from xfemnav.imaging.vote import head_of, largest_otsu, vote
 from xfemnav.imaging.working import Working, robust_range, working_copy
 
@@ -56,6 +55,8 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
     work = working_copy(slice)
     if method == "svc":
         prior = _prior(slice, work, mask, template, template_mask)
+        from xfemnav.imaging.svc import classify  # SimpleITK and scipy.spatial, for this method alone
+
         found = classify(work, prior)
         return _result(slice, one_piece(work.back(found)), "svc", {"kept": dice(found, prior)})
     if method == "auto" and skull != "on" and (skull == "stripped" or is_stripped(slice)):
@@ -82,6 +83,8 @@ def _prior(slice: Slice, work: Working, mask, template: Image | None, template_m
     values = values_on(template, slice, resample="linear")
     low, high = robust_range(values) if values.max() > values.min() else (0.0, 1.0)
     organ = (values_on(template_mask, slice, resample="nearest") != 0).astype(float)
+    from xfemnav.imaging.svc import register
+
     return register(work.values, work.forth((values - low) / (high - low)), work.forth(organ), work.pixel)
 
 

@@ -49,8 +49,13 @@ def settle_kernel_cache() -> str | None:
     return PASSING if passing else None
 
 
+def first_use() -> bool:
+    """Whether no kernel of this code is kept yet, so that a run compiles them all; after `settle_kernel_cache`."""
+    return not any(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi"))
+
+
 def _places() -> Iterator[Path]:
-    yield PACKAGE / "geometry" / "__pycache__"
+    yield PACKAGE / "__pycache__"  # above the layers, whose files are looked through for keys
     yield Path.home() / ".cache" / "xfemnav"
 
 
