@@ -18,6 +18,7 @@ from xfemnav.geometry.snapping import SNAP
 # Fractions of the local element size h.
 ONE_LINE = 4e-6  # two segments that stay as near as this to one line, inside a cell, are on it
 FLAT = 1e-13  # a triangle lower than this has no area but rounding
+AT_TIP = 1e-9  # a corner as near as this to a tip is moved onto it
 HERE = 1e-5  # a corner as near as this to a node or tip is that node or tip
 
 
@@ -51,9 +52,21 @@ def split_cells(mesh, segments, tips):
         edges = [(x, y, int(tag), int(by)) for x, y, tag, by in edges.tolist()]
         stop = np.cumsum(count).tolist()
         cell = [edges[a:b] for a, b in zip([0, *stop], stop)]
+        for x, y in tips:
+            cell = _one_corner_at(cell, float(x), float(y), AT_TIP * h)
         if len(cell) > 1 or len(cell[0]) > 3 or any(edge[3] != UNCUT for edge in cell[0]):
             polygons[c] = cell
     return polygons
+
+
+def _one_corner_at(cell, x, y, reach):
+    """The polygons with all corners within `reach` mm of a tip (x, y) on it: lines that meet there at a small angle
+    miss it by more than rounding."""
+    if not any(0 < abs(u - x) + abs(v - y) < reach for polygon in cell for u, v, _, _ in polygon):
+        return cell
+    cell = [[(x, y, *e[2:]) if abs(e[0] - x) + abs(e[1] - y) < reach else e for e in polygon] for polygon in cell]
+    cell = [[e for e, after in zip(polygon, [*polygon[1:], polygon[0]]) if e[:2] != after[:2]] for polygon in cell]
+    return [polygon for polygon in cell if len(polygon) > 2]
 
 
 def touched_cells(mesh, a, d, length):
