@@ -2,9 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
-BENCH ?= mesh warp lips accuracy sensitivity
+BENCH ?= mesh warp lips accuracy sensitivity networks finite_strain
+FUZZ ?= nifti
+SECONDS ?= 60
 
-.PHONY: help demo paper worked-case batch test test-all lint docs bench clean
+.PHONY: help demo paper worked-case steps batch fuzz test test-all lint docs bench clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 13
@@ -25,6 +27,10 @@ worked-case: $(INSTALLED)  ## docs/worked-case.md: a cut from the brain surface 
 	$(BIN)/python -m data_synthetic out/phantom
 	$(BIN)/xfemnav run out/phantom/sub-phantom_T1w.nii.gz --cut "58,50.2 25.4,22" --left 2.3,-2.6 --right=-2.3,2.6 -o out/worked-case
 
+steps: $(INSTALLED)  ## docs/steps.md: an operation in five steps on a real slice, from one scenario
+	$(BIN)/python -m data_synthetic.surgery out/surgery
+	$(BIN)/xfemnav run --scenario out/surgery/surgery.toml -o out/steps
+
 # GNU make keeps its -j in MAKEFLAGS; the runs are shared out by the command itself, so that one failure stops no other.
 batch: $(INSTALLED)  ## make batch IN=folder OUT=folder -j N: every slice of IN that has a <stem>.toml beside it
 	$(BIN)/xfemnav batch "$(IN)" "$(OUT)" -j $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),1)
@@ -35,6 +41,10 @@ test: $(INSTALLED)  ## the tests that run in minutes
 test-all: $(INSTALLED)  ## all tests, long batteries too; the independent reference needs gmsh and scikit-fem
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'
 	HYPOTHESIS_PROFILE=default $(BIN)/python -m pytest -n 2
+
+fuzz: $(INSTALLED)  ## make fuzz FUZZ=nifti|markups|scenario SECONDS=600: readers under coverage-guided nonsense
+	$(BIN)/python -m pip install -q --disable-pip-version-check atheris
+	$(BIN)/python tests/fuzz/fuzz.py $(FUZZ) $(SECONDS)
 
 lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .

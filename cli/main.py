@@ -7,7 +7,7 @@ import traceback
 import click
 
 from xfemnav import __version__
-from xfemnav.errors import EXIT_BUG, EXIT_DATA, EXIT_USAGE, XfemnavError
+from xfemnav.errors import EXIT_BUG, EXIT_DATA, EXIT_USAGE, FAULTS, XfemnavError
 from xfemnav_cli import batch, run, tools
 from xfemnav_cli.telling import complain, printable
 
@@ -47,6 +47,10 @@ def main(argv: list[str] | None = None) -> None:
         code = error.exit_code or EXIT_DATA
     except (KeyboardInterrupt, click.Abort):
         code = 130
+    except MemoryError as error:
+        complain(f"E800 not enough memory ({error}): use larger elements (--element-size-mm), a smaller image, or a "
+                 "machine with more memory.")
+        code = FAULTS["E800"].exit_code
     except Exception as error:  # the last resort: what gets here is a bug, and is told as one
         if traced:
             traceback.print_exc()

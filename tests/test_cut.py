@@ -178,3 +178,17 @@ def test_a_cut_drawn_from_its_tip_is_told_so(internal):
     square = np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 40.0], [0.0, 40.0]])
     with pytest.raises(XfemnavError, match=r"E302 .*from its tip .* other order"):
         place_cut([[20.0, 20.0], [20.0, 50.0]], square, internal=internal)
+
+
+def test_a_cut_that_starts_on_another_is_its_branch():
+    stem = np.array([[-60.0, 0.0], [0.0, 0.0]])
+    branch = place_cut([(-20, 0), (-10, 15)], SQUARE, others=[stem])
+    assert not branch.mouth and not branch.craniotomy
+    assert_allclose(branch.path, [(-20, 0), (-10, 15)])
+    with pytest.warns(XfemnavWarning, match=r"W304 .* 1\.50 mm beside"):
+        joined = place_cut([(-20, 1.5), (-10, 15)], SQUARE, others=[stem])
+    assert_allclose(joined.path, [(-20, 0), (-20, 1.5), (-10, 15)])
+    assert "another cut" in refused("E302", [(-20, 2.5), (-10, 15)], others=[stem])
+    # Near the outline it is a cut of its own, with the mouth that it was drawn towards.
+    with pytest.warns(XfemnavWarning, match="W301"):
+        assert place_cut([(-48, 0.5), (-30, 15)], SQUARE, others=[stem]).mouth

@@ -156,6 +156,8 @@ FAULTS: dict[str, Fault] = {
                   "The message lists every problem with its place."),
     "E781": Fault(78, "scenario names a file outside its folder", "Paths in a scenario stay in its folder.",
                   "Move the file, or pass it on the command line."),
+    "E800": Fault(71, "not enough memory", "The mesh or the image is larger than the memory that the run may use.",
+                  "Use larger elements, a smaller image, or a machine with more memory."),
     "E900": Fault(70, "bug in xfemnav", "Something happened that should not.", "Report it with the traceback from `-vv`."),
     # warnings
     "W104": Fault(0, "intensity scaling ignored", "scl_slope or scl_inter is NaN or infinite.", "Check the header."),
@@ -183,6 +185,7 @@ FAULTS: dict[str, Fault] = {
                   "Do not trust where it lies."),
     "W315": Fault(0, "session condensed anew", "The cut left the corridor of the session, which took as long as making it.",
                   "Give a corridor, or a `reach_mm`, that holds all cuts."),
+    "W304": Fault(0, "branch joined to its cut", "A cut started within 2 mm of another one, deep inside the organ.", "None needed, if it is a branch."),
     "W311": Fault(0, "small loose piece removed", "A piece smaller than an element was cut free and is not in the result.", "None needed."),
     "W402": Fault(0, "some tissue is folded", "More than 0.01 mm² is turned inside out.", "Check where; use a smaller displacement."),
     "W403": Fault(0, "tissue lies twice", "A lip that nobody holds has moved through the other, or tissue has folded over itself.",

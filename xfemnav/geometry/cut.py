@@ -12,6 +12,8 @@ from xfemnav.geometry.mesh import frozen_array
 
 #: A cut that starts inside the organ, but not deeper than this, is prolonged to the outline (mm).
 PROLONG_MM = 5.0
+#: A cut that starts deeper, but as near as this to another cut, is a branch of it (mm).
+BRANCH_MM = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +55,9 @@ def left_normals(path) -> np.ndarray:
     return np.stack([-travel[:, 1], travel[:, 0]], axis=1)
 
 
-def place_cut(path, boundary, name: str = "cut", *, internal: bool = False, craniotomy: bool = True) -> Cut:
+def place_cut(
+    path, boundary, name: str = "cut", *, internal: bool = False, craniotomy: bool = True, others=()
+) -> Cut:
     """Clip a drawn path to the organ and find its mouth.
 
     Parameters
@@ -62,6 +66,8 @@ def place_cut(path, boundary, name: str = "cut", *, internal: bool = False, cran
     boundary : (b, 2) mm, the organ's (mesh's) outline, a closed loop whose last point is not repeated.
     internal : the cut lies inside, with two tips and no mouth.
     craniotomy : the skull is open about the mouth.
+    others : paths (k, 2) mm of the other cuts. A cut that starts on one of them, deep inside, is its branch: it has no
+        mouth, and its start is put on that cut (W304 when it was moved).
 
     Raises
     ------
@@ -103,14 +109,30 @@ def place_cut(path, boundary, name: str = "cut", *, internal: bool = False, cran
         )
     if internal:
         return Cut(clipped, name, mouth=False, craniotomy=False)
+    if depth > PROLONG_MM and (joint := _joint(clipped[0], others, name)) is not None:
+        start = clipped if np.array_equal(joint, clipped[0]) else np.vstack([joint, clipped])
+        return Cut(start, name, mouth=False, craniotomy=False)
     if depth > PROLONG_MM:
         raise XfemnavError(
             "E302",
             f"cut '{name}' starts {depth:.1f} mm inside the organ, at {_mm(clipped[0])}; start it at the "
-            "surface, or give --internal for a cut with two tips.",
+            "surface or on another cut, or give --internal for a cut with two tips.",
         )
     warn("W301", f"cut '{name}' started {depth:.1f} mm inside the outline and was prolonged to it.")
     return Cut(np.vstack([_backwards_to(organ, clipped), clipped]), name, mouth=True, craniotomy=craniotomy)
+
+
+def _joint(start, others, name):
+    """The point (2,) of the nearest other cut on which a branch starts; None when all are farther than BRANCH_MM."""
+    point, lines = shapely.Point(start), [shapely.LineString(path) for path in others]
+    distance = [line.distance(point) for line in lines]
+    if not lines or min(distance) > BRANCH_MM:
+        return None
+    if min(distance) <= 1e-9:
+        return start
+    warn("W304", f"cut '{name}' started {min(distance):.2f} mm beside another cut and was joined to it.")
+    nearest = lines[int(np.argmin(distance))]
+    return shapely.get_coordinates(nearest.interpolate(nearest.project(point)))[0]
 
 
 def _without_repeats(path, name):

@@ -17,8 +17,9 @@ from xfemnav.mechanics.space import Space
 LOOSE = ("refuse", "remove", "hold")
 #: A mean over a held piece is taken over at most so many basis functions: they couple all to all.
 MEAN_OVER = 200
-#: A rigid motion whose conditions and springs do less than this, of the strongest, is free.
-FREE_MOTION = 1e-8
+#: A rigid motion is free when conditions and springs meet less than this of its square: held by so short a lever, a
+#: piece would move a thousand times as far as what holds it.
+FREE_MOTION = 1e-6
 #: A body takes part in a joint motion when its share of that is larger than this.
 PART = 1e-3
 
@@ -101,7 +102,7 @@ def _tell(space, cuts, resections, retractions, parts, what, fate):
         raise XfemnavError(
             "E306",
             f"{by} {'frees' if len(names) < 2 else 'free'} a piece of {what} about {place}, {why} nothing holds it; "
-            "let the cut end inside, hold the piece, or say what to do with it: --loose remove|hold.",
+            "let the cut end inside, hold the piece, or say what to do with it: --loose-pieces remove|hold.",
         )
     if fate == "removed":
         warn("W312", f"a loose piece of {what} about {place}, freed by {by}, was removed: it is not in the result.")

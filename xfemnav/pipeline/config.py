@@ -181,13 +181,11 @@ def _carried(s: "Scenario", files: dict[str, Path]):
     listed = [("companion", item.kind, item.axes, f"companion.{i}.image") for i, item in enumerate(s.companion)]
     for role in ("points", "streamlines"):
         listed += [(role, role, "world", f"{role}.{i}") for i in range(len(getattr(s, role)))]
-    taken = {("companion", stem(files["image"]))}  # the updated image has that name
+    taken = {("companion", stem(files["image"])): 1}  # the updated image has that name
     for role, kind, axes, place in listed:
-        name = base = stem(files[place])
-        number = 2
-        while (role, name) in taken:
-            name, number = f"{base}-{number}", number + 1
-        taken.add((role, name))
+        base = stem(files[place])
+        taken[role, base] = number = taken.get((role, base), 0) + 1
+        name = base if number == 1 else f"{base}-{number}"
         alone = role != "companion" and place.endswith(".0")
         yield CompanionParams(role if alone else f"{role}:{name}", name, kind, axes), files[place]
 

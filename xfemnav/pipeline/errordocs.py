@@ -30,7 +30,7 @@ Warnings do not stop a run; they are printed, kept in `run.json` and shown in th
 
 GROUPS = {
     "E1": "Reading images", "E2": "Mask and mesh", "E3": "Cuts", "E4": "Mechanics", "E5": "Writing",
-    "E7": "Scenarios and other files", "E9": "Bugs", "W": "Warnings",
+    "E7": "Scenarios and other files", "E8": "Memory", "E9": "Bugs", "W": "Warnings",
 }
 
 

@@ -211,8 +211,9 @@ def failure(error: BaseException) -> dict:
         return {"status": "interrupted", "exit_code": 128 + getattr(error, "signum", 2)}
     if isinstance(error, BrokenPipeError):  # whoever read our lines has gone away
         return {"status": "interrupted", "exit_code": 141}
+    code = "E800" if isinstance(error, MemoryError) else "E900"
     text = f"{type(error).__name__}: {error}"
-    return {"status": "failed", "exit_code": FAULTS["E900"].exit_code, "error": {"code": "E900", "text": text}}
+    return {"status": "failed", "exit_code": FAULTS[code].exit_code, "error": {"code": code, "text": text}}
 
 
 def _page(chain: Chain, record: dict, figures: dict[str, Path]) -> tuple[Path, str]:

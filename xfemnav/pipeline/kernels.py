@@ -34,6 +34,8 @@ def settle_kernel_cache() -> str | None:
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given and Path(given).name == name:
         return None
+    if given and Path(given).name.startswith(NAME):  # a parent's, of other code
+        given = Path(given).parent
     base = next(filter(_writable, [Path(given)] if given else _places()), None)
     passing = base is None
     if passing:

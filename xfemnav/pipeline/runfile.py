@@ -94,7 +94,7 @@ def public_name(image: Path, role: str, source: str = "") -> str:
         base = re.sub(r"_desc-[A-Za-z0-9]+", "", base)
     parts = [step, description and f"desc-{description}", suffix or own]
     tail = "".join(f"_{part}" for part in parts if part) + (ending or source)
-    while len(os.fsencode(base + tail)) > LONGEST_NAME:
+    while max(len(os.fsencode(name)) for name in (base + tail, sidecar_name(base + tail))) > LONGEST_NAME:
         base = base[:-1]
     return base + tail
 

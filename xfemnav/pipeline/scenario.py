@@ -17,6 +17,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.crosscheck import cross_problems
 
 LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
+SHOWN = 50  # problems of a scenario that are told
 # Dotted keys deeper than that; the parser's time grows with the square of their length.
 LONG_KEY = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){32}""")
 
@@ -31,7 +32,8 @@ Vector = Annotated[tuple[float, float], Strict(False)]
 Point = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=3)]
 Points = Annotated[tuple[Point, ...], Strict(False)]
 Path_ = Annotated[str, Field(min_length=1, max_length=4096)]
-Paths_ = Annotated[tuple[Path_, ...], Strict(False)]
+Paths_ = Annotated[tuple[Path_, ...], Strict(False), Field(max_length=200)]
+MANY = Field(max_length=200)  # cuts, steps, companions: more is a mistake, and would take for ever
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Name = Annotated[str, Field(pattern=r"^[\w .+-]{1,64}$")]
@@ -192,7 +194,7 @@ class BoundarySection(Section):
     lips: Literal["contact", "free"] = Field("contact", description="lips do not pass through each other, or are free")
     loose_pieces: Literal["refuse", "hold", "remove"] = Field(
         "refuse", description="pieces cut free that nothing holds: an error, kept where they are, or taken out")
-    arc: Annotated[tuple[ArcSection, ...], Strict(False)] = ()
+    arc: Annotated[tuple[ArcSection, ...], Strict(False), MANY] = ()
 
 
 class PressureSection(Section):
@@ -212,7 +214,7 @@ class LoadSection(Section):
     fluid_density_kg_m3: NotNegative = Field(1007.0, description="density of the cerebrospinal fluid")
     fluid_level_mm: float | None = Field(
         None, description="tissue farther along gravity than this (mm from the origin) floats in fluid; none: drained")
-    pressure: Annotated[tuple[PressureSection, ...], Strict(False)] = ()
+    pressure: Annotated[tuple[PressureSection, ...], Strict(False), MANY] = ()
 
     @model_validator(mode="after")
     def _a_direction(self):
@@ -293,17 +295,17 @@ class Scenario(Section):
     streamlines: Paths_ = Field((), description="tractograms to move: .trk, .tck")
     slice: SliceSection = SliceSection()
     segment: SegmentSection = SegmentSection()
-    cut: Annotated[tuple[CutSection, ...], Strict(False)] = ()
-    retract: Annotated[tuple[RetractSection, ...], Strict(False)] = ()
-    resect: Annotated[tuple[ResectSection, ...], Strict(False)] = ()
-    companion: Annotated[tuple[CompanionSection, ...], Strict(False)] = ()
+    cut: Annotated[tuple[CutSection, ...], Strict(False), MANY] = ()
+    retract: Annotated[tuple[RetractSection, ...], Strict(False), MANY] = ()
+    resect: Annotated[tuple[ResectSection, ...], Strict(False), MANY] = ()
+    companion: Annotated[tuple[CompanionSection, ...], Strict(False), MANY] = ()
     tissue: TissueSection = TissueSection()
     boundary: BoundarySection = BoundarySection()
     load: LoadSection = LoadSection()
     mesh: MeshSection = MeshSection()
     solve: SolveSection = SolveSection()
     warp: WarpSection = WarpSection()
-    step: Annotated[tuple[StepSection, ...], Strict(False)] = ()
+    step: Annotated[tuple[StepSection, ...], Strict(False), MANY] = ()
 
 
 def read_toml(path: Path) -> dict:
@@ -337,7 +339,8 @@ def validated(raw: dict, flags: dict[str, str], known: tuple[str, ...] = ()) -> 
     if found:
         codes = [next((code for code, words in OWN_CODES.items() if words.search(text)), "E780") for text in found]
         code = "E780" if "E780" in codes else codes[0]
-        raise XfemnavError(code, "; ".join(found) + ". See `xfemnav schema` for every key.")
+        more = f"; and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+        raise XfemnavError(code, "; ".join(found[:SHOWN]) + f"{more}. See `xfemnav schema` for every key.")
     return Scenario.model_validate(raw)
 
 

@@ -1,11 +1,12 @@
 """The stage constrain: mesh, cuts, blades, resections, tissues and loads become a boundary value problem."""
 
 
-def _placed(cut, path, outline):
-    """A drawn cut, path (k, 2) plane mm, as it runs inside an outline."""
+def _placed(cuts, paths, outline):
+    """Drawn cuts, paths (k, 2) plane mm, as they run inside an outline."""
     from xfemnav.geometry.cut import place_cut
 
-    return place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy)
+    return tuple(place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy,
+                           others=[*paths[:k], *paths[k + 1:]]) for k, (cut, path) in enumerate(zip(cuts, paths)))
 
 
 def compute(params, inputs):
@@ -17,7 +18,7 @@ def compute(params, inputs):
     slice, _ = inputs.value("segment")
     mesh = inputs.value("mesh")
     outline = mesh.points[mesh.boundary_loops[0]]
-    cuts = tuple(_placed(cut, _drawn_path(cut, inputs), outline) for cut in params.cuts)
+    cuts = _placed(params.cuts, [_drawn_path(cut, inputs) for cut in params.cuts], outline)
     blades = tuple(Retraction(cut=r.cut, side=r.side, displacement_mm=r.displacement_mm, normal_mm=r.normal_mm,
                               force_mN_per_mm=r.force_mN_per_mm, blade=r.blade) for r in params.retractions)
     arcs = tuple(Arc(*_plane(slice, (arc.start, arc.end), params.space), arc.skull, arc.skull_gap_mm)
@@ -60,8 +61,9 @@ def _plane(slice, points, space):
 
 def _later_mouths(params, slice, outline):
     """Where cuts of later steps will enter: the skull is open there already."""
-    cuts = [_placed(cut, _plane(slice, cut.points, cut.space), outline) for cut in params.later_cuts if cut.craniotomy]
-    return tuple(cut.path[0] for cut in cuts if cut.mouth)
+    paths = [_plane(slice, cut.points, cut.space) for cut in (*params.later_cuts, *params.cuts)]
+    cuts = _placed((*params.later_cuts, *params.cuts), paths, outline)[:len(params.later_cuts)]
+    return tuple(cut.path[0] for cut in cuts if cut.mouth and cut.craniotomy)
 
 
 def _resection(item, outline, inputs):

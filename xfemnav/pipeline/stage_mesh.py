@@ -22,8 +22,10 @@ def compute(params, inputs):
         from xfemnav.geometry.grading import data_ends
 
         ends = params.data_ends
-        cuts = tuple(place_cut(plane_points(slice, cut.points, cut.space), outline, cut.name, internal=cut.internal,
-                               craniotomy=cut.craniotomy) for cut in ends.cuts)
+        paths = [plane_points(slice, cut.points, cut.space) for cut in ends.cuts]
+        cuts = tuple(place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy,
+                               others=[*paths[:k], *paths[k + 1:]])
+                     for k, (cut, path) in enumerate(zip(ends.cuts, paths)))
         focus = data_ends(outline, cuts, ends.blades, ends.grip_mm)
         size = SizeField(size, focus=focus)
     if params.corridor:
