@@ -15,8 +15,8 @@ import jsonschema
 import pytest
 from small import CUT, OPEN, QUICK, write, xfemnav
 
-from xfemnav.pipeline import disk, locks, stage_mesh
 from tests.test_chain import ROLES
+from xfemnav.pipeline import disk, locks, stage_mesh
 from xfemnav.pipeline.runfile import run_schema
 from xfemnav.pipeline.scenario import problems
 from xfemnav_cli.main import main

@@ -18,7 +18,8 @@ def contacts(G, gap):
 def problem(seed, n=8, g=5):
     rng = np.random.default_rng(seed)
     X = rng.normal(size=(n, n))
-    return csc_array(X @ X.T + np.eye(n)), rng.normal(size=n), csr_array(rng.normal(size=(g, n))), rng.normal(size=g) + 1
+    G, gap = csr_array(rng.normal(size=(g, n))), rng.normal(size=g) + 1
+    return csc_array(X @ X.T + np.eye(n)), rng.normal(size=n), G, gap
 
 
 def solved(K, load, G, gap):
