@@ -13,19 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from tests.meshes import BRAIN, outline
+from tests.meshes import BRAIN, grid, jittered, outline
 from tests.networks import random_network
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.resection import place_resection
 from xfemnav.geometry.snapping import SNAP
 from xfemnav.geometry.subcells import embed
-from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.solution import solve
-from xfemnav.mechanics.space import Space
 
 #: A drawn line may miss the organ, touch its outline, cross itself, free a piece, leave a blade nothing, and so on.
 LISTED = {"E301", "E302", "E303", "E304", "E305", "E306", "E310", "E311", "E312", "E402", "E403", "E405", "E406"}
@@ -68,9 +66,9 @@ def check_parts(mesh, cuts, resections):
     return sub
 
 
-def check_continuity(mesh, sub, kind, rng):
+def check_continuity(space, rng):
     """Any field of the space has one value where two parts are joined: it jumps on cuts and walls alone."""
-    space = Space(mesh, sub, enrich(mesh, sub, kind))
+    sub = space.subcells
     U = rng.normal(size=(space.enrichment.n_rows, 2))
     p, q = sub.joins[:, :2].T
     jump = (space.basis_in(sub.join_middle, p) - space.basis_in(sub.join_middle, q)) @ U
@@ -102,10 +100,10 @@ def survives(seed):
         warnings.simplefilter("ignore")
         mesh, cuts, resections = place(seed)
         try:
-            sub = check_parts(mesh, cuts, resections)
+            check_parts(mesh, cuts, resections)
             asked = draw_problem(cuts, resections, np.random.default_rng([seed, 1]))
-            check_continuity(mesh, sub, asked["tip_enrichment"], np.random.default_rng([seed, 2]))
             problem = pose(mesh, cuts, BRAIN, resections=resections, **asked)
+            check_continuity(problem.space, np.random.default_rng([seed, 2]))
             solution = solve(problem)
         except XfemnavError as error:
             assert error.code in LISTED, f"{seed}: {error}"
@@ -113,16 +111,39 @@ def survives(seed):
     assert np.isfinite(solution.U).all() and np.isfinite(solution.moved).all()
     # A rigid motion's energy is a sum of roundings of E d^2.
     assert solution.residual <= 1e-8 and -1e-12 <= solution.energy < np.inf
+    # What holds a piece has a lever of at least a hundredth of its size; lips move by .2 mm, each in several means.
+    assert np.abs(solution.moved - solution.rest).max() < 200
     assert not problem.removed[solution.part].any()
     area = sum(piece.area_mm2 for piece in problem.pieces if piece.fate != "removed")
     assert_allclose(solution.rest_areas.sum(), area, rtol=1e-9)
     return "solved"
 
 
-@settings(derandomize=True, max_examples=150, deadline=None, database=None)
+@settings(derandomize=True, max_examples=120, deadline=None, database=None)
 @given(st.integers(0, 2**32 - 1))
 def test_random_networks_are_solved_or_refused_by_name(seed):
     survives(seed)
+
+
+@pytest.mark.filterwarnings("ignore::xfemnav.errors.XfemnavWarning")
+@pytest.mark.parametrize("seed", [*range(6), 115])
+@pytest.mark.parametrize("kind", ["topological", "geometric"])
+def test_cuts_that_face_each_other_nearly_on_one_line_are_solved(seed, kind):
+    """Two internal cuts with points rounded to 1 to 3 decimals, their tips .05 to .9 elements apart."""
+    rng = np.random.default_rng(seed)
+    mesh = (jittered(12.0, 10.0, 0.5, 0.3, seed), grid(20, 10.0))[seed % 2]
+    middle, angle = rng.uniform(4, 6, 2), rng.uniform(0, 2 * np.pi)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    near, far = rng.choice([0.025, 0.05, 0.15, 0.3, 0.45]) / 2 + np.array([0.0, 3.0])
+    digits = rng.integers(1, 4)
+    paths = [np.round([middle - far * along, middle - near * along], digits),
+             np.round([middle + near * along, middle + far * along], digits)]
+    if rng.uniform() < 0.5:
+        paths[1] = paths[1][::-1]
+    cuts = tuple(place_cut(path, outline(mesh), internal=True) for path in paths)
+    held = tuple(Retraction(0, side, normal_mm=0.1, blade=(0.3, 0.6)) for side in (1, -1))
+    solution = solve(pose(mesh, cuts, BRAIN, Skull("fixed", 2.0, 1.0), held, tip_enrichment=kind))
+    assert solution.residual <= 1e-8 and np.abs(solution.moved - solution.rest).max() < 1.0
 
 
 @pytest.mark.slow

@@ -61,6 +61,21 @@ def unwrap(subcells: Subcells, near, middle, tip: int, inside) -> np.ndarray:
     return angle
 
 
+def torn(subcells: Subcells, middle, tip: int, angle) -> np.ndarray:
+    """Parts (k,) across whose contact the angle (p,) jumps although no cut is there.
+
+    So it does somewhere on a ring of tissue around another cut's tip or around a hole: walks meet that went both ways.
+    """
+    x, travel = subcells.tips[tip], subcells.tip_travel[tip]
+    p, q = subcells.joins[:, :2].T
+    reached = np.isfinite(angle[p]) & np.isfinite(angle[q])
+    p, q = p[reached], q[reached]
+    raw, raw_contact = _angle(middle - x, travel), _angle(subcells.join_middle[reached] - x, travel)
+    between = angle[q] + _wrap(raw_contact - angle[q])
+    there = between + _wrap(raw[p] - between)
+    return np.unique(subcells.joins[reached, :2][np.abs(there - angle[p]) > np.pi])
+
+
 def _angle(offset, travel):
     return np.arctan2(travel[0] * offset[:, 1] - travel[1] * offset[:, 0], offset @ travel)
 

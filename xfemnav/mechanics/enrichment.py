@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.partition import HERE
 from xfemnav.geometry.subcells import Subcells
-from xfemnav.mechanics.angles import adjacency, centroids, touched_parts, unwrap
+from xfemnav.mechanics.angles import adjacency, centroids, torn, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_functions, polar
 
 STANDARD, HEAVISIDE, BRANCH = 0, 1, 2
@@ -201,10 +201,11 @@ def _at_tip(mesh, subcells, dof, near, middle, tip):
     # The functions live on the piece that the tip touches.
     pieces = {int(cells[p, a]): int(dof[p, a]) for p in touched for a in range(3) if cells[p, a] in nodes}
     angle = unwrap(subcells, near, middle, tip, np.isin(dof, list(pieces.values())).any(axis=1))
+    jumping = torn(subcells, middle, tip, angle)
     for i, row in sorted(pieces.items()):
         parts, local = np.nonzero(dof == row)
         parts, local = _reached(parts, local, angle)
-        if not len(parts):
+        if not len(parts) or np.isin(parts, jumping).any():
             continue
         shift = _shift(mesh, subcells, middle, angle, tip, i, parts)
         yield i, shift, parts, local, angle[parts], np.ones((len(parts), 3))
@@ -218,6 +219,8 @@ def _within_radius(mesh, subcells, dof, near, middle, tip, radius):
     cells = mesh.cells[subcells.part_cell]
     inside = inner[cells].any(axis=1)
     angle = unwrap(subcells, near, middle, tip, inside)
+    inner[cells[torn(subcells, middle, tip, angle)]] = False
+    inside = inner[cells].any(axis=1)
     parts, local = np.nonzero(np.repeat((inside & np.isfinite(angle))[:, None], 3, axis=1))
     order = np.argsort(cells[parts, local], kind="stable")
     parts, local = parts[order], local[order]

@@ -18,8 +18,8 @@ LOOSE = ("refuse", "remove", "hold")
 #: A mean over a held piece is taken over at most so many basis functions: they couple all to all.
 MEAN_OVER = 200
 #: A rigid motion is free when conditions and springs meet less than this of its square: held by so short a lever, a
-#: piece would move a thousand times as far as what holds it.
-FREE_MOTION = 1e-6
+#: piece would move a hundred times as far as what holds it.
+FREE_MOTION = 1e-4
 #: A body takes part in a joint motion when its share of that is larger than this.
 PART = 1e-3
 
