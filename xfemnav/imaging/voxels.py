@@ -83,8 +83,10 @@ def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places):
     A place is at voxel `matrix` (3, 2) place + `shift` (3,). The last voxels are `ends` (3,), and the outermost ones go
     on for `reach` (3,). Places that are not `seen` (n,) have no voxel and stay.
     """
-    nc = values.shape[3]
-    flat, one, two = values.ravel(), values.shape[2] * nc, values.shape[1] * values.shape[2] * nc
+    # Unsigned: an index that cannot be negative costs no look whether it counts from the end.
+    nc = np.uint64(values.shape[3])
+    flat, one = values.ravel(), np.uint64(values.shape[2]) * nc
+    two, none = np.uint64(values.shape[1]) * one, np.uint64(0)
     for p in range(len(places)):
         if not wanted[p]:
             continue
@@ -92,25 +94,22 @@ def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places):
         if x + y + z != x + y + z:
             seen[p] = False
             continue
-        i, j, k = int(x + SAME), int(y + SAME), int(z + SAME)
+        i, j, k = np.uint64(x + SAME), np.uint64(y + SAME), np.uint64(z + SAME)
         r, s, t = x - i, y - j, z - k
         at = i * two + j * one + k * nc
         # places on a plane of voxels take nothing from the next one, which may not be there
-        ri, sj, tk = two if r > SAME else 0, one if s > SAME else 0, nc if t > SAME else 0
+        ri, sj = two if r > SAME else none, one if s > SAME else none
         for c in range(nc):
-            a = at + c
+            a, b = at + c, at + c + ri
             low = flat[a] + s * (flat[a + sj] - flat[a])
-            if ri:
-                high = flat[a + ri] + s * (flat[a + ri + sj] - flat[a + ri])
-                low += r * (high - low)
-            if tk:
-                b = a + tk
-                far = flat[b] + s * (flat[b + sj] - flat[b])
-                if ri:
-                    high = flat[b + ri] + s * (flat[b + ri + sj] - flat[b + ri])
-                    far += r * (high - far)
-                low += t * (far - low)
-            out[p, c] = low
+            high = flat[b] + s * (flat[b + sj] - flat[b])
+            out[p, c] = low + r * (high - low)
+        if t > SAME:
+            for c in range(nc):
+                a, b = at + nc + c, at + nc + c + ri
+                low = flat[a] + s * (flat[a + sj] - flat[a])
+                high = flat[b] + s * (flat[b + sj] - flat[b])
+                out[p, c] += t * (low + r * (high - low) - out[p, c])
 
 
 @njit(cache=True)
