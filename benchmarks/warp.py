@@ -1,14 +1,11 @@
 """Side by side: the warp's exact map and sampling against matplotlib, scipy and SimpleITK on the same mesh and image.
 
-    python -m benchmarks.warp [--nodes 5000] [--size 512] [--repeats 7]
+    python -m benchmarks.warp
 
-The rows are timed in turns, so that a busy machine is busy for all; the table has medians, minima, and the medians'
-ratios to matplotlib's.
+5k nodes, 512 x 512 pixels.
 """
 
-import argparse
-from statistics import median
-from time import perf_counter
+from benchmarks.timing import interleaved, keep, mark, table  # isort: skip (sets the number of threads)
 
 import matplotlib.tri as tri
 import numpy as np
@@ -16,7 +13,13 @@ import SimpleITK as sitk
 from scipy.ndimage import map_coordinates
 from scipy.spatial import Delaunay
 
+from xfemnav.imaging.voxels import sample_volume
 from xfemnav.imaging.warp import covered, pull_back, sample, update
+
+NODES, SIZE, REPEATS = 5_000, 512, 9
+LINEAR, ITK = "matplotlib: LinearTriInterpolator, map", "SimpleITK: Resample by displacement field, linear"
+ONE, EACH = "xfemnav: pull_back and update, map and one image", "xfemnav: update, 20 images one by one"
+MANY = "xfemnav: sample_volume, 20 companions on the grid"
 
 
 def mesh(n_nodes: int, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -37,14 +40,9 @@ def mesh(n_nodes: int, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--nodes", type=int, default=5000)
-    parser.add_argument("--size", type=int, default=512)
-    parser.add_argument("--repeats", type=int, default=7)
-    args = parser.parse_args()
-    shape, origin, spacing = (args.size, args.size), np.zeros(2), np.ones(2)
-    points, cells = mesh(args.nodes, args.size)
-    wave = 0.008 * args.size * np.sin(2 * np.pi * points[:, ::-1] / args.size)
+    shape, origin, spacing = (SIZE, SIZE), np.zeros(2), np.ones(2)
+    points, cells = mesh(NODES, SIZE)
+    wave = 0.008 * SIZE * np.sin(2 * np.pi * points[:, ::-1] / SIZE)
     there = points + wave
     rest, moved = points[cells], there[cells]
     pixels = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).astype(float)
@@ -53,6 +51,10 @@ def main() -> None:
     organ = covered(rest, origin, spacing, shape)
     pulled = pull_back(rest, moved, origin, spacing, shape)
     at = np.nan_to_num(pulled.resting).reshape(-1, 2).T
+    places, tissue = pulled.places.reshape(-1, 2), pulled.tissue.reshape(-1)
+    stacked, flat = np.ascontiguousarray(companions.transpose(1, 2, 0)[:, :, None]), np.eye(3)[:, :2]
+    volume = np.random.default_rng(3).normal(size=(SIZE // 2, SIZE // 2, 64, 1))
+    tilted = np.array([[0.5, 0], [0, 0.5], [0.01, 0.013]])
     moving = sitk.GetImageFromArray(image)
     displacement = sitk.GetImageFromArray((pulled.field[..., ::-1]).copy(), isVector=True)
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
@@ -77,34 +79,36 @@ def main() -> None:
 
     rows = {
         "matplotlib: TriFinder, triangle of each pixel": finder_map,
-        "matplotlib: LinearTriInterpolator, map": interpolated_map,
-        "SimpleITK: Resample by displacement field, linear": resample,
+        LINEAR: interpolated_map,
+        ITK: resample,
         "scipy: map_coordinates, linear": lambda: map_coordinates(image, at, order=1),
         "xfemnav: pull_back, map": lambda: pull_back(rest, moved, origin, spacing, shape),
         "xfemnav: sample, linear": lambda: sample(image, origin, spacing, pulled.resting),
         "xfemnav: sample, cubic": lambda: sample(image, origin, spacing, pulled.resting, "cubic"),
         "xfemnav: sample, nearest": lambda: sample(image, origin, spacing, pulled.resting, "nearest"),
-        "xfemnav: pull_back and update, map and one image": lambda: update(
+        ONE: lambda: update(
             image, origin, spacing, organ, pull_back(rest, moved, origin, spacing, shape)),
-        "xfemnav: update, 20 companions": lambda: [
+        EACH: lambda: [
             update(companion, origin, spacing, organ, pulled) for companion in companions],
+        MANY: lambda: sample_volume(stacked, flat, np.zeros(3), places, tissue, "linear"),
+        "xfemnav: sample_volume, one companion in 3-D": lambda: sample_volume(
+            volume, tilted, np.array([0, 0, 20.0]), places, tissue, "linear"),
     }
-    for run in rows.values():
-        run()    # compiled kernels are loaded
-    seconds = {name: [] for name in rows}
-    for _ in range(args.repeats):
-        for name, run in rows.items():
-            start = perf_counter()
-            run()
-            seconds[name].append(perf_counter() - start)
+    seconds = interleaved(rows, REPEATS)
     theirs = np.stack([np.ma.filled(x, np.nan) for x in interpolated_map()], axis=-1)
     both = np.isfinite(theirs[..., 0]) & pulled.tissue
-    reference = median(seconds["matplotlib: TriFinder, triangle of each pixel"])
-    print(f"{len(points)} nodes, {len(cells)} triangles, {args.size}^2 pixels, {args.repeats} repeats")
-    print(f"{'':52s} median ms    min ms    ratio")
-    for name, times in seconds.items():
-        print(f"{name:52s} {1e3 * median(times):9.2f} {1e3 * min(times):9.2f}  {median(times) / reference:7.4f}")
-    print(f"maps agree to {np.abs(theirs - pulled.resting)[both].max():.1e} px on {both.sum()} pixels")
+    off = np.abs(theirs - pulled.resting)[both].max()
+    linear, itk = seconds[LINEAR], seconds[ITK]
+    text = table(("what", "ms", "over LinearTriInterpolator", "over SimpleITK"),
+                 [(name, 1e3 * time, f"{time / linear:.4f}", f"{time / itk:.4f}") for name, time in seconds.items()])
+    text += f"\n{len(points)} nodes, {len(cells)} triangles; the maps agree to {off:.0e} px on {both.sum()} pixels.\n"
+    one, many = seconds[ONE], seconds[MANY]
+    keep("warp", text, [
+        mark("warp: map and one image over matplotlib's LinearTriInterpolator", 1 / 20, one / linear),
+        mark("warp: map and one image over SimpleITK's resampling alone", 1 / 5, one / itk),
+        mark("warp: 20 companions, ms", 15, 1e3 * many),
+        mark("warp: map beside matplotlib's, px", 1e-3, off),
+    ])
 
 
 if __name__ == "__main__":

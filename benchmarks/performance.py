@@ -1,0 +1,109 @@
+"""All measurements of speed, one after another, and the page docs/performance.md.
+
+    python -m benchmarks.performance [name ...] [--page]
+
+Names: mesh assembly solve accuracy_time warp runs; all without a name. Each runs in a process of its own, so that
+none warms another's memory; results are kept in benchmarks/results, and the page is written from all of them.
+"""
+
+import ast
+import json
+import os
+import platform
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from benchmarks.timing import RESULTS, table
+
+PAGE = Path("docs/performance.md")
+TITLES = {
+    "mesh": "Meshes",
+    "assembly": "Assembly",
+    "solve": "Solving, and what enrichment costs",
+    "accuracy_time": "Accuracy against seconds for a changed cut",
+    "warp": "Warping",
+    "runs": "Whole runs",
+}
+LIBRARIES = ("numpy", "scipy", "numba", "SimpleITK", "nibabel", "matplotlib", "shapely", "gmsh", "scikit-fem",
+             "scikit-sparse", "distmeshpy")
+#: Why a mark is missed, by the beginning of its name.
+REASONS = {
+    "assembly: time over numpy's": "numpy's own way is faster now than when the mark was set (einsum contracts each "
+        "element at once, scipy sorts entries in C); the kernel is at its own mark",
+    "assembly: time over scikit-fem's": "at 5k nodes its fixed costs are what it is; the ratio grows with the mesh",
+    "solve: time over splu's default": "the reduced system holds tip functions and lips, whose rows are dense",
+    "solve: with CHOLMOD": "below 20k nodes its analysis is a third of its time",
+    "solve: growth": "fill of nested orderings grows as N log N, work as N^1.5",
+    "warp: map and one image over SimpleITK's": "the map itself is most of it; SimpleITK is given its field ready made",
+    "run: ": "imports are over half of it: numpy, scipy, numba, nibabel, SimpleITK and meshio cost what they cost",
+}
+PREFACE = """# Performance
+
+Written by `python -m benchmarks.performance` (about a quarter of an hour). One thread. Seconds are those that the
+process had a processor for (`process_time`; user and system time of a child), because a clock on the wall measures the
+neighbours on a shared machine. What is compared ran in turns in one process, and medians are given: trust the ratios
+before the seconds. Peers that are not installed are left out. How fast a cut moves in a live session:
+`python -m benchmarks.live`.
+
+"""
+
+
+def machine() -> str:
+    """Kind of machine, and versions of what was measured."""
+    found = []
+    for name in LIBRARIES:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            found.append(f"{name} absent")
+    processor = next((line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines()
+                      if line.startswith("model name")), platform.machine())
+    return (f"Measured on {os.cpu_count()} cores of {processor}, {platform.system()}, Python "
+            f"{platform.python_version()}; {', '.join(found)}.\n\n")
+
+
+def judged(marks) -> str:
+    """The table of marks."""
+    rows = []
+    for each in marks:
+        name, limit, measured = each["name"], each["limit"], each["measured"]
+        verdict = "met"
+        if measured > limit:
+            reason = next((text for start, text in REASONS.items() if name.startswith(start)), "")
+            verdict = f"**missed** by {measured / limit - 1:.0%}" + (f": {reason}" if reason else "")
+        rows.append((name, limit, measured, verdict))
+    return table(("mark", "at most", "measured", ""), rows)
+
+
+def write_page() -> None:
+    """docs/performance.md from what is kept."""
+    found = {name: json.loads((RESULTS / f"{name}.json").read_text())
+             for name in TITLES if (RESULTS / f"{name}.json").exists()}
+    text = PREFACE + machine() + "## The marks\n\n" + judged([m for part in found.values() for m in part["marks"]])
+    for name, part in found.items():
+        text += f"\n## {TITLES[name]}\n\n{_about(name)}\n\n"
+        if name == "accuracy_time":
+            text += "![Error against seconds](figures/accuracy-time.png)\n\n"
+        text += part["text"]
+    PAGE.write_text(text)
+
+
+def _about(name) -> str:
+    """What a benchmark says of itself: its first lines, without the command."""
+    words = ast.get_docstring(ast.parse(Path(f"benchmarks/{name}.py").read_text())).split("\n\n")
+    return "\n\n".join(part for part in words if not part.startswith("    "))
+
+
+def main(arguments) -> None:
+    """Run the benchmarks named, and write the page."""
+    chosen = [name for name in arguments if name != "--page"] or ([] if "--page" in arguments else list(TITLES))
+    for name in chosen:
+        print(f"== {name}", flush=True)
+        subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], check=True)
+    write_page()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,94 @@
+"""Whole runs of the command: cold (a new cache, compiled kernels there) and cached, with and without a report; memory.
+
+    python -m benchmarks.runs
+
+A 512 x 512 slice of the MNI152 brain's outline at .36 mm, about 4.5k nodes, a cut of 80 mm opened by 6 mm. Seconds of
+the child process on a processor, and on the wall's clock; medians of 5.
+"""
+
+from benchmarks.timing import keep, mark, table  # isort: skip (sets the number of threads)
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+import nibabel
+import numpy as np
+
+from benchmarks.mesh import brain_outline
+from xfemnav.imaging.warp import enclosed
+
+REPEATS, SIDE, PIXEL_MM = 5, 512, 0.36
+COMMAND = str(Path(sys.executable).with_name("xfemnav"))
+
+
+def write_slice(folder: Path) -> tuple[Path, Path]:
+    """A slice and its mask as NIfTI."""
+    outline = brain_outline()
+    outline = 18 + (outline - outline.min(axis=0)) / np.ptp(outline, axis=0).max() * 0.88 * SIDE * PIXEL_MM
+    mask = enclosed(outline, np.zeros(2), np.full(2, PIXEL_MM), (SIDE, SIDE))
+    waves = 100 + 20 * np.sin(np.indices(mask.shape)[0] / 9)
+    noise = np.random.default_rng(0).normal(0, 3, mask.shape)
+    affine, found = np.diag([PIXEL_MM, PIXEL_MM, 1, 1]), []
+    for name, values in (("slice_T1w", (mask * waves + noise).astype(np.float32)), ("mask", mask.astype(np.uint8))):
+        found.append(folder / f"{name}.nii.gz")
+        nibabel.save(nibabel.Nifti1Image(values[..., None], affine), found[-1])
+    return tuple(found)
+
+
+def once(*words: str) -> tuple[float, float, float]:
+    """Processor's seconds, wall's seconds and peak MB of one run of the command."""
+    start = perf_counter()
+    child = subprocess.Popen([COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        sys.exit(f"xfemnav {' '.join(words)} ended with {child.returncode}")
+    return used.ru_utime + used.ru_stime, perf_counter() - start, used.ru_maxrss / 1000
+
+
+def main() -> None:
+    """Print one row for each kind of run."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        image, mask = write_slice(folder)
+        cache, out = folder / "cache", folder / "out"
+        run = ("run", str(image), "--cut", "95,190 95,110", "--opening-mm", "6", "-o", str(out), "-w", str(cache))
+        kinds = {
+            "a mask given, no report, cold": ((*run, "--mask", str(mask), "--no-report"), True, 1.5),
+            "a mask given, no report, all cached": ((*run, "--mask", str(mask), "--no-report"), False, 0.5),
+            "segmentation, figure and report, cold": (run, True, 4.0),
+            "with the report, all cached": (run, False, 0.5),
+            "run --help": (("run", "--help"), False, 0.1),
+        }
+        rows, marks = [], []
+        for kind, (words, cold, limit) in kinds.items():
+            once(*words)  # compiles kernels, fills the cache
+            found = []
+            for _ in range(REPEATS):
+                if cold:
+                    shutil.rmtree(cache)
+                found.append(once(*words))
+            processor, wall, memory = (median(column) for column in zip(*found))
+            rows.append((kind, processor, wall, memory))
+            marks.append(mark(f"run: {kind}, s", limit, processor))
+    bare = median(bare_python() for _ in range(REPEATS))
+    text = table(("run", "seconds", "wall's seconds", "peak MB"), rows)
+    keep("runs", f"{text}\nPython itself starts in {bare:.3f} s.\n", marks)
+
+
+def bare_python() -> float:
+    """Seconds in which Python starts and ends."""
+    child = subprocess.Popen([sys.executable, "-c", "pass"])
+    _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    return used.ru_utime + used.ru_stime
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""How the benchmarks measure and keep what they measured.
+
+Seconds are those that the process had a processor for, on one thread: on a shared machine a clock on the wall measures
+the neighbours. What is compared is run in turns in one process, and the medians are given.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from time import process_time
+
+import numpy as np
+
+RESULTS = Path("benchmarks/results")
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before the libraries start their threads
+    if os.environ.setdefault(name, "1") != "1":
+        sys.exit(f"{name} must be 1: one thread is measured")
+
+
+def interleaved(runs: dict[str, Callable], repeats: int = 5) -> dict[str, float]:
+    """Median seconds of each of `runs`, taken in turns after one run of each that is not counted."""
+    for run in runs.values():
+        run()
+    seconds = {name: [] for name in runs}
+    for _ in range(repeats):
+        for name, run in runs.items():
+            start = process_time()
+            run()
+            seconds[name].append(process_time() - start)
+    return {name: median(times) for name, times in seconds.items()}
+
+
+def exponent(sizes, seconds) -> float:
+    """p of the power law seconds ~ size^p that fits best."""
+    return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+
+
+def table(head: tuple[str, ...], rows) -> str:
+    """A Markdown table; numbers with three digits."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(map(_shown, line)) + " |" for line in lines) + "\n"
+
+
+def _shown(value) -> str:
+    if not isinstance(value, float | np.floating):
+        return str(value)
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def mark(name: str, limit: float, measured: float) -> dict:
+    """A mark: what is wanted to be at most `limit`, and what was measured."""
+    return {"name": name, "limit": float(limit), "measured": float(measured)}
+
+
+def keep(name: str, text: str, marks: list[dict]) -> None:
+    """Print the text, and keep it with its marks for docs/performance.md."""
+    print(text)
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / f"{name}.json").write_text(json.dumps({"text": text, "marks": marks}, indent=1) + "\n")
