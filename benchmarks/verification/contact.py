@@ -12,8 +12,10 @@ from benchmarks.verification import fields
 from benchmarks.verification.cases import DISC, ENRICHED, STEEL, rectangle, uniform_mesh
 from benchmarks.verification.outcome import Outcome, Value
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
-from benchmarks.verification.retraction import corridor
+from data_synthetic import domains
 from xfemnav.geometry.cut import Cut, place_cut
+from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.sizing import SizeField
 from xfemnav.imaging.warp import pull_back
 from xfemnav.mechanics.contact import lip_contacts, lip_gaps, lip_pressure
 from xfemnav.mechanics.elasticity import Material
@@ -90,7 +92,7 @@ def pushes():
     penetration: deepest gap below zero at Gauss points, mm; area: its integral, mm^2; overlap: pixels of 1 mm that
     hold tissue twice.
     """
-    mesh = corridor()
+    mesh = distmesh(domains.disc(), SizeField(3.0, 1.0, 12.0, (np.array([(0.0, 70.0), (0.0, 30.0)]),)))
     for name, path in PUSHED.items():
         cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
         for held in (0.8, 0.5):

@@ -30,18 +30,24 @@ def path_at_rest(path, motion: PiecewiseAffineMap, name: str) -> np.ndarray:
 def ring_at_rest(ring, motion: PiecewiseAffineMap, name: str) -> np.ndarray:
     """Resting place (k, 2) mm of a closed outline (n, 2) mm drawn in the slice as it is now.
 
-    Where it runs through an opened cut or outside the organ, it goes straight on between the tissue on either side.
-    Raises E313 when it goes around no tissue.
+    Where it runs through an opened cut or outside the organ, it goes with the tissue on either side of that place along
+    the outline, linearly between. Raises E313 when it goes around no tissue.
     """
-    _, resting, known = _followed(np.vstack([ring, ring[:1]]), motion, name)
+    points, resting, known = _followed(ring, motion, name, closed=True)
     if len(known) < 3:
         raise XfemnavError("E313", f"'{name}' goes around no tissue of the deformed slice; check where it was drawn.")
-    return _simple(np.vstack([resting[known], resting[known[:1]]]))[:-1]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    total = arc[-1] + np.linalg.norm(points[0] - points[-1])
+    shift = [np.interp(arc, arc[known], (resting - points)[known, i], period=total) for i in (0, 1)]
+    resting = points + np.stack(shift, axis=1)
+    return _simple(np.vstack([resting, resting[:1]]))[:-1]
 
 
-def _followed(path, motion, name):
+def _followed(path, motion, name, closed=False):
     """Points along the path, where they rested (NaN without tissue), and the indices of those that have tissue."""
-    points = shapely.get_coordinates(shapely.segmentize(shapely.LineString(path), STEP_MM))
+    line = shapely.LinearRing(path) if closed else shapely.LineString(path)
+    points = shapely.get_coordinates(shapely.segmentize(line, STEP_MM))
+    points = points[:-1] if closed else points
     resting = motion.to_preoperative(points)
     known = np.flatnonzero(np.isfinite(resting[:, 0]))
     if not len(known):

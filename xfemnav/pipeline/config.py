@@ -136,7 +136,7 @@ def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]
                               s.resample_mask),
         mesh=_mesh_params(s, drawn), steps=_steps(s, drawn, files.get("boundary.displacement")), solve=SolveParams(),
         warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill, s.warp.transforms),
-        carry=CarryParams(tuple(item for item, _ in carried), s.warp.interp, s.warp.outside),
+        carry=CarryParams(tuple(item for item, _ in carried), s.warp.interp, s.warp.outside, s.warp.fill),
     )
 
 
@@ -187,7 +187,7 @@ def _carried(s: "Scenario", files: dict[str, Path]):
         taken[role, base] = number = taken.get((role, base), 0) + 1
         name = base if number == 1 else f"{base}-{number}"
         alone = role != "companion" and place.endswith(".0")
-        yield CompanionParams(role if alone else f"{role}:{name}", name, kind, axes), files[place]
+        yield CompanionParams(role if alone else f"{role}:{name}", files[place].name, kind, axes), files[place]
 
 
 def _filled(r, s: "Scenario"):

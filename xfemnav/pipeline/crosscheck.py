@@ -95,6 +95,8 @@ def _steps(raw):
     may_end = {*known["retract"], *known["pressure"], GRAVITY}
     cut_of = {name: str(item.get("cut") or (known["cut"] or ["cut"])[0])
               for name, item in zip(known["retract"], tables(raw, "retract"))}
+    load = raw.get("load") if isinstance(raw.get("load"), dict) else {}
+    wall_of = {name: str(item.get("on")) for name, item in zip(known["pressure"], tables(load, "pressure"))}
     steps = tables(raw, "step")
     acts = {str(name) for step in steps for name in _names(step, "acts")}
     acting |= set(every) - acts
@@ -114,6 +116,8 @@ def _steps(raw):
             acting.discard(str(name))
         found += [f"step.{i}: '{blade}' acts before its cut '{cut}'" for blade, cut in cut_of.items()
                   if blade in acting and cut in every and cut not in acting]
+        found += [f"step.{i}: the pressure '{pressure}' acts before the resection '{on}'"
+                  for pressure, on in wall_of.items() if pressure in acting and on in every and on not in acting]
     return found
 
 

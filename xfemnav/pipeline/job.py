@@ -115,17 +115,9 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
         first = chain.warned[0]
         raise XfemnavError(first.code, f"{first.text} (--strict makes warnings errors)")
     record = _reported(chain, record) | {"status": "complete", "exit_code": 0}
-    checks = record.get("checks", {})
-    if checks.get("inverted_mm2", 0) > INVERTED_LIMIT_MM2:
-        safe = done["solve"].facts["safe_fraction"]
-        text = (f"the retraction folds the tissue: {checks['inverted_mm2']:.2f} mm2 are inverted, over "
-                f"{INVERTED_LIMIT_MM2:g} mm2. The largest safe opening is {safe:.3f} of this one. "
-                "The results are written, and marked untrusted (exit 3).")
-        record |= {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
-    elif checks.get("overlap_mm2", 0) > overlap_limit(record):
-        text = (f"{checks['overlap_mm2']:.1f} mm2 of tissue lie twice: lips have moved through each other. Swap left "
-                "and right if they are swapped, or hold both lips. The results are written, and marked untrusted "
-                "(exit 3).")
+    faults = [fault for k in range(len(chain.config.steps)) if (fault := _fault(chain, k, record))]
+    if faults:
+        text = f"{'; '.join(faults)}. The results are written, and marked untrusted (exit 3)."
         record |= {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
     files = {}
     for label, item in done.items():
@@ -139,6 +131,22 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
     record["outputs"] = folder.publish(files, record)
     folder.write_record(record)
     return record
+
+
+def _fault(chain: Chain, k: int, record: dict) -> str | None:
+    """Why a step is not to be trusted; None when it is, or has not come so far."""
+    step, facts = chain.config.steps[k], {}
+    for stage in ("solve", "warp"):
+        if done := chain.inputs.done.get(chain.inputs.label(stage, k)):
+            facts |= done.facts | {"checks": facts.get("checks", {}) | done.facts["checks"]}
+    checks, where = facts.get("checks", {}), f"in step '{step.name}' " if step.name else ""
+    if checks.get("inverted_mm2", 0) > INVERTED_LIMIT_MM2:
+        return (f"{where}the retraction folds the tissue: {checks['inverted_mm2']:.2f} mm2 are inverted, over "
+                f"{INVERTED_LIMIT_MM2:g} mm2. The largest safe opening is {facts['safe_fraction']:.3f} of this one")
+    if checks.get("overlap_mm2", 0) > overlap_limit(record):
+        return (f"{where}{checks['overlap_mm2']:.1f} mm2 of tissue lie twice: lips, or walls of a resection, have "
+                "moved through each other. Swap left and right if they are swapped, hold both lips, or load less")
+    return None
 
 
 #: Files of the steps before the last that are published.

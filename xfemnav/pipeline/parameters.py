@@ -177,10 +177,10 @@ class WarpParams:
 
 @dataclass(frozen=True)
 class CompanionParams:
-    """Another image to carry, or landmarks and streamlines to move: the role of its file, its stem, and its kind."""
+    """Another image to carry, or landmarks and streamlines to move: the role of its file, the file's name, its kind."""
 
     role: str
-    stem: str
+    name: str
     kind: str
     axes: str
 
@@ -192,6 +192,7 @@ class CarryParams:
     companions: tuple[CompanionParams, ...]
     interp: str
     outside: str
+    fill: float
 
 
 @dataclass(frozen=True)

@@ -258,6 +258,7 @@ def _refuse(config) -> None:
              if getattr(params, name) != value]
     found += [f"skull {params.skull!r}"] if params.skull not in ("fixed", "sliding") else []
     found += [f"lip constraint {params.lip_constraint!r}"] if params.lip_constraint == "nitsche" else []
+    found += ["points in LPS or voxels"] if params.space != "ras" else []
     found += ["several cuts or steps"] if len(params.cuts) > 1 or len(config.steps) > 1 else []
     found += ["retractions: say them to Session.open"] if params.retractions else []
     found += ["no plan: say where, as corridor"] if not params.cuts else []

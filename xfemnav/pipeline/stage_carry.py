@@ -33,7 +33,7 @@ def _write_companion(item, inputs, folder, name):
 
     params, (slice, _) = inputs.config.carry, inputs.value("segment")
     image = carry(inputs.image(item.role), slice, inputs.value("warp"), kind=item.kind, interp=params.interp,
-                  outside=params.outside, axes=item.axes)
+                  outside=params.outside, fill=params.fill, axes=item.axes)
     write_nifti(folder / f"{name}.nii.gz", image)
 
 

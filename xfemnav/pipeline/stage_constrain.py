@@ -1,12 +1,13 @@
 """The stage constrain: mesh, cuts, blades, resections, tissues and loads become a boundary value problem."""
 
 
-def _placed(cuts, paths, outline):
-    """Drawn cuts, paths (k, 2) plane mm, as they run inside an outline."""
+def _placed(cuts, paths, outline, others=()):
+    """Drawn cuts, paths (k, 2) plane mm, as they run inside an outline; `others` may bear branches too."""
     from xfemnav.geometry.cut import place_cut
 
     return tuple(place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy,
-                           others=[*paths[:k], *paths[k + 1:]]) for k, (cut, path) in enumerate(zip(cuts, paths)))
+                           others=[*others, *paths[:k], *paths[k + 1:]])
+                 for k, (cut, path) in enumerate(zip(cuts, paths)))
 
 
 def compute(params, inputs):
@@ -60,10 +61,27 @@ def _plane(slice, points, space):
 
 
 def _later_mouths(params, slice, outline):
-    """Where cuts of later steps will enter: the skull is open there already."""
+    """Where cuts of later steps will enter: the skull is open there already.
+
+    As drawn: where tissue will lie when a cut is drawn in the deformed slice is not known yet, so such a cut's opening
+    is about the outline's point next to its start.
+    """
+    import numpy as np
+    import shapely
+
+    from xfemnav.errors import XfemnavError
+
+    ring, found = shapely.LinearRing(outline), []
     paths = [_plane(slice, cut.points, cut.space) for cut in (*params.later_cuts, *params.cuts)]
-    cuts = _placed((*params.later_cuts, *params.cuts), paths, outline)[:len(params.later_cuts)]
-    return tuple(cut.path[0] for cut in cuts if cut.mouth and cut.craniotomy)
+    for k, cut in enumerate(params.later_cuts):
+        try:
+            placed = _placed((cut,), (paths[k],), outline, others=[*paths[:k], *paths[k + 1:]])[0]
+            found += [placed.path[0]] if placed.mouth and placed.craniotomy else []
+        except XfemnavError:
+            if cut.craniotomy and not cut.internal:
+                near = ring.interpolate(ring.project(shapely.Point(paths[k][0])))
+                found.append(np.array(near.coords[0]))
+    return tuple(found)
 
 
 def _resection(item, outline, inputs):
@@ -87,6 +105,7 @@ def tissue(params, mesh, inputs):
     """One material, or a mixture in each cell where a label map tells tissues apart."""
     import numpy as np
 
+    from xfemnav.errors import warn
     from xfemnav.imaging.labels import label_shares
     from xfemnav.mechanics.elasticity import Material, mixed
 
@@ -95,6 +114,10 @@ def tissue(params, mesh, inputs):
         return rest
     slice, _ = inputs.value("segment")
     shares = label_shares(inputs.image("labels"), slice, mesh.corners, [item.label for item in params.labels])
+    for item, share in zip(params.labels, shares.T):
+        if not share.any():
+            warn("W314", f"label {item.label} of {inputs.files['labels'].name} is nowhere in the organ on this slice, "
+                         "so no tissue has its constants.")
     materials = (rest, *(Material(item.young_kpa, item.poisson, params.stress_state) for item in params.labels))
     return mixed(materials, np.column_stack([1 - shares.sum(axis=1), shares]))
 
