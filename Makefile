@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
-BENCH ?= mesh warp lips accuracy sensitivity networks finite_strain
+BENCH ?= performance lips accuracy sensitivity networks finite_strain
 FUZZ ?= nifti
 SECONDS ?= 60
 
