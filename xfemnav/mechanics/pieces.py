@@ -123,7 +123,8 @@ def _rigid_work(space, constraints, springs, bodies):
     One condition may act on several bodies, a mean over a stretch of lip that crossings have cut into pieces: it takes
     one motion from all of them together.
     """
-    table, mesh = space.enrichment, space.mesh
+    table, mesh, sub = space.enrichment, space.mesh, space.subcells
+    area = np.bincount(table.body, np.bincount(sub.part, sub.areas, sub.n_parts))
     row_body = np.full(table.n_rows, -1)
     row_body[table.dof] = table.body[:, None]
     row_body[table.kind >= BRANCH] = -1
@@ -141,7 +142,9 @@ def _rigid_work(space, constraints, springs, bodies):
             rows.append(np.stack([2 * own, 2 * own + 1], axis=1).ravel())
             columns.append(np.full(2 * len(own), 3 * k + i))
             data.append(np.stack([u, v], axis=1).ravel())
-        scale[3 * k : 3 * k + 3] = np.sqrt(max(stiff[own].max(), 1e-300))
+        # A crumb on the first, soft springs of the skull's ramp would be thrown about; a larger body meets others.
+        grip = stiff.max() if area[body] < np.median(mesh.areas) else stiff[own].max()
+        scale[3 * k : 3 * k + 3] = np.sqrt(max(grip, 1e-300))
     at = (np.concatenate(rows), np.concatenate(columns))
     motions = csr_array((np.concatenate(data), at), (table.n_dof, 3 * len(bodies)))
     met = conditions @ motions
