@@ -59,3 +59,15 @@ def test_what_touches_no_tissue_is_refused():
     for redraw in (path_at_rest, ring_at_rest):
         with pytest.raises(XfemnavError, match="E313"):
             redraw(far, turned(), "far")
+
+
+def test_a_ring_over_the_surface_takes_the_surface():
+    """Outside of the organ it goes with the tissue beside it, so that no rind stays."""
+    still = PiecewiseAffineMap(MESH.corners, MESH.corners)
+    organ = shapely.Polygon(MESH.points[MESH.boundary_loops[0]])
+    ring = np.array([[20.0, -8.0], [60.0, -8.0], [60.0, 8.0], [20.0, 8.0]])
+    taken = shapely.Polygon(ring_at_rest(ring, still, "corridor")).intersection(organ)
+    assert taken.area == pytest.approx(shapely.Polygon(ring).intersection(organ).area, rel=1e-6)
+    moved = ring @ TURN.T + SHIFT
+    again = shapely.Polygon(ring_at_rest(moved, turned(), "corridor")).intersection(organ)
+    assert again.area == pytest.approx(taken.area, rel=0.05)  # beyond the organ a turn is no shift

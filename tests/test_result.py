@@ -287,3 +287,9 @@ def test_transforms_of_every_kind_say_the_same(opened, tmp_path, suffix):
         opened.write_transform(tmp_path / "t.txt")
     with pytest.raises(xfemnav.XfemnavError, match="E502"):
         opened.write_transform(tmp_path / "nowhere" / f"t{suffix}")
+
+
+def test_a_side_is_left_or_right():
+    assert [result.side_number(side) for side in ("left", "right", 1, None)] == [1, -1, 1, None]
+    with pytest.raises(xfemnav.XfemnavError, match="E780 side is 'up'"):
+        result.side_number("up")

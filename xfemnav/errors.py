@@ -59,7 +59,7 @@ FAULTS: dict[str, Fault] = {
     "E130": Fault(65, "companion lies off the slice",
                   "It has no voxels where the slice's tissue is: its affine or its slice is another one.",
                   "Give its slice at this place, or its whole volume, in the preoperative image's world mm."),
-    "E131": Fault(65, "companion is not of its kind",
+    "E131": Fault(65, "image is not of its kind",
                   "Labels are whole numbers, vectors have 3 values a voxel, symmetric tensors 6.",
                   "Give its kind: continuous, label, vector or tensor."),
     # 2xx: segmentation and mesh
@@ -178,6 +178,8 @@ FAULTS: dict[str, Fault] = {
                   "Look at the mask; widen the neck, or take the part off."),
     "W208": Fault(0, "thin parts of a region are left out", "A label or mask that is taken out has parts under two pixels wide.",
                   "Draw its outline, or give a finer mask."),
+    "W209": Fault(0, "mask has several values", "A mask of what is taken out holds more than 0 and one other value, as a label map, probabilities or an image do.",
+                  "Give a mask of two values, or a label of a label map."),
     "W301": Fault(0, "cut prolonged to the outline", "Its first point was inside, within 5 mm of the outline.", "Check the mouth."),
     "W302": Fault(0, "repeated points merged", "Two neighbouring points of the cut coincide.", "None needed."),
     "W303": Fault(0, "short internal cut", "An internal cut shorter than 3 elements is resolved coarsely.",

@@ -11,6 +11,8 @@ from xfemnav.geometry.mesh import frozen_array
 
 #: Parts and holes of a region whose mean width is smaller than this are drawing noise (mm).
 SLIVER_MM = 1e-3
+#: A resection that leaves less of the organ than this part takes the whole: what is left are crumbs of its outline.
+LEAST_LEFT = 0.01
 #: A line as near as this to the outline runs along it (mm).
 ON_OUTLINE_MM = 1e-9
 
@@ -70,7 +72,7 @@ def place_resection(rings, boundary, name: str = "resection") -> Resection:
     region = _without_slivers(shapely.intersection(drawn, organ))
     if region.is_empty:
         raise XfemnavError("E310", _never_meets(drawn, organ, name))
-    if _without_slivers(shapely.difference(organ, region)).is_empty:
+    if _without_slivers(shapely.difference(organ, region)).area < LEAST_LEFT * organ.area:
         raise XfemnavError(
             "E312", f"resection '{name}' takes the whole organ ({organ.area:.0f} mm2) out; draw a smaller one."
         )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from xfemnav.errors import warn
+from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.resection import even_odd
 from xfemnav.imaging.outline import rings_of_mask
 from xfemnav.imaging.reading import Image
@@ -17,6 +17,7 @@ def label_shares(image: Image, frame: Slice, corners, labels) -> np.ndarray:
 
     Each of the cell's 36 equal parts has the label of the voxel that its middle is nearest to; 0 outside the image.
     """
+    refuse_fractions(image)
     weights = _middles()
     points = np.einsum("pa,mai->mpi", weights, corners)
     to_voxels = np.linalg.inv(image.affine)
@@ -25,6 +26,13 @@ def label_shares(image: Image, frame: Slice, corners, labels) -> np.ndarray:
     found = np.zeros(len(voxels))
     found[inside] = image.values[tuple(voxels[inside].T)]
     return (found.reshape(len(corners), -1, 1) == np.asarray(labels)).mean(axis=1)
+
+
+def refuse_fractions(image: Image) -> None:
+    """Raise E131 when an image's values are not whole numbers, so that it is no label map."""
+    if (image.values != np.rint(image.values)).any():
+        raise XfemnavError("E131", f"{image.name} is no label map: its values are not whole numbers. Give labels, not "
+                                   "probabilities.")
 
 
 def _middles():
@@ -43,6 +51,14 @@ def region_rings(image: Image, frame: Slice, label: int | None = None) -> tuple[
     """
     values = values_on(image, frame, resample="nearest")
     mask = values != 0 if label is None else values == label
+    if label is not None:
+        refuse_fractions(image)
+        if not mask.any():
+            held = ", ".join(f"{value:.0f}" for value in np.unique(values)[:20] if value) or "none"
+            raise XfemnavError("E311", f"label {label} of {image.name} is nowhere on this slice, which holds the "
+                                       f"labels {held}. Check its number, and that the map covers the slice.")
+    elif len(np.unique(values[mask])) > 1:
+        warn("W209", f"{image.name} is no mask of two values: all that is not 0 is taken out, {mask.sum()} pixels.")
     rings = rings_of_mask(mask, frame.origin, frame.spacing)
     pixel, wanted = float(frame.spacing.prod()), float(mask.sum() * frame.spacing.prod())
     lost = wanted - even_odd(rings).area - np.pi * pixel * len(rings)

@@ -16,6 +16,15 @@ from xfemnav.pipeline.runfile import read_record
 SIDES = {"left": 1, "right": -1}
 
 
+def side_number(side):
+    """+1 for "left" and -1 for "right"; numbers, one for all or one a point, and None stay. Raises E780."""
+    if not isinstance(side, str):
+        return side
+    if side not in SIDES:
+        raise XfemnavError("E780", f"side is {side!r}; it is 'left' or 'right'.")
+    return SIDES[side]
+
+
 def run(image=None, *, scenario=None, output=None, cache=None, report: bool = True, force: bool = False, **flags):
     """Update `image` after a cut, as `xfemnav run` does, and return the `Result`.
 
@@ -123,7 +132,7 @@ class Result:
 
     def to_current(self, points, side=None) -> np.ndarray:
         """Where the tissue that was at `points` in the preoperative image is now."""
-        return self._mapped(points, lambda plane: self.motion.to_current(plane, SIDES.get(side, side)))
+        return self._mapped(points, lambda plane: self.motion.to_current(plane, side_number(side)))
 
     def displacement(self, points, side=None) -> np.ndarray:
         """Displacement, mm, of the tissue that was at `points`."""
@@ -138,7 +147,7 @@ class Result:
 
         if inverse:
             return resting_points(points, self.frame, self.motion, self.outline)
-        return moved_points(points, self.frame, self.motion, self.organ.corners, SIDES.get(side, side))
+        return moved_points(points, self.frame, self.motion, self.organ.corners, side_number(side))
 
     def streamlines(self, path):
         """The tractogram in a .trk or .tck file after the motion: MovedStreamlines of `xfemnav.imaging.streamlines`."""

@@ -12,8 +12,8 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.pipeline.config import BLADE, configure
 from xfemnav.pipeline.flags import numbers
 from xfemnav.pipeline.kernels import settle_kernel_cache
+from xfemnav.pipeline.result import SIDES, side_number
 
-SIDES = {"left": 1, "right": -1}
 NAME = "cut"
 #: What a session cannot do, by the name of the setting, and the value that it must have.
 ONLY = {"resections": (), "skull_gap_mm": 0.0, "arcs": (), "boundary_displacement": None, "gravity": None,
@@ -94,7 +94,7 @@ class Session:
 
     def to_current(self, points, side=None) -> np.ndarray:
         """Where the tissue that was at `points` in the preoperative image is now."""
-        return self._mapped(points, lambda plane: self._motion.to_current(plane, SIDES.get(side, side)))
+        return self._mapped(points, lambda plane: self._motion.to_current(plane, side_number(side)))
 
     def to_preoperative(self, points) -> np.ndarray:
         """Where the tissue that is now at `points` was in the preoperative image."""
