@@ -5,9 +5,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.sparse.linalg import spsolve
 
-from tests.meshes import cut_in, grid, jittered, space_of
+from tests.meshes import cut_in, grid, jittered, outline, space_of
+from tests.test_resection import box
+from xfemnav.geometry.resection import place_resection
+from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.elasticity import Material, stiffness
-from xfemnav.mechanics.loads import KPA_PER_MM, Gravity, pressure_load, weight_load
+from xfemnav.mechanics.enrichment import enrich
+from xfemnav.mechanics.loads import KPA_PER_MM, Gravity, Pressure, dead_loads, pressure_load, weight_load
+from xfemnav.mechanics.space import Space
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=4)
 
@@ -33,6 +38,34 @@ def test_the_weight_and_its_moment_are_those_of_the_body(space):
     weight = KPA_PER_MM * 1040 * area * np.array([0.6, -0.8])
     assert_allclose((fx, fy), weight, rtol=1e-12)
     assert_allclose(moment, centre[0] * weight[1] - centre[1] * weight[0], rtol=1e-10)
+
+
+def nested(*rings):
+    """The space of a mesh without the tissue in some rings, and the resections."""
+    taken = tuple(place_resection([ring], outline(MESH), "") for ring in rings)
+    subcells = embed(MESH, (), taken)
+    return Space(MESH, subcells, enrich(MESH, subcells)), taken
+
+
+def test_tissue_that_is_taken_out_weighs_nothing():
+    space, (hole,) = nested(box(3.3, 3.2, 7.1, 5.4))
+    _, fy, _ = rigid(space).T @ weight_load(space, Gravity((0.0, -1.0)))
+    assert_allclose(fy, -KPA_PER_MM * 1000 * (MESH.areas.sum() - hole.area_mm2), rtol=1e-4)
+    load = weight_load(space, Gravity((0.0, -1.0))).reshape(-1, 2)
+    gone = np.setdiff1d(space.enrichment.dof[space.subcells.removed], space.enrichment.dof[~space.subcells.removed])
+    assert len(gone) and not load[gone].any()
+
+
+def test_a_pressure_acts_on_all_of_a_wall_also_where_two_resections_share_it():
+    """A resection inside another with a common edge, which is drawn twice; the pressure on the inner one alone pushes
+    on that edge, whichever comes first; on the outer one on all around, so that nothing is left over."""
+    outer, inner = box(3.3, 3.2, 7.1, 6.4), box(3.3, 3.2, 5.1, 4.4)
+    for rings, inner_one in (((outer, inner), 1), ((inner, outer), 0)):
+        space, taken = nested(*rings)
+        on = [rigid(space).T @ dead_loads(space, None, (Pressure(2.0, k),), taken) for k in (1 - inner_one, inner_one)]
+        assert_allclose(on[0][:2], 0, atol=1e-3)
+        # Left edge 1.2 mm, lower edge 1.8 mm, to within the facet of up to 1 mm on which the inner one's corner lies.
+        assert_allclose(on[1][:2], (-2.0 * 1.2, -2.0 * 1.8), atol=2.0 * 0.6)
 
 
 def test_floating_tissue_weighs_the_difference():

@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from scipy.sparse import csc_array, csr_array, eye_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.minimise import Contacts, minimise
+from xfemnav.mechanics.minimise import Contacts, Means, minimise
 
 
 def contacts(G, gap):
@@ -99,3 +99,20 @@ def test_a_condition_between_held_unknowns_is_left_out_or_refused():
 def test_an_energy_without_a_minimum_is_refused():
     with pytest.raises(XfemnavError, match="E407"):
         minimise(csc_array(np.diag([1.0, -1.0])), np.ones(2), np.zeros(2), eye_array(2, format="csc"))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_mean_holds_what_moves_freely(seed):
+    """A chain of springs whose ends are free, over obstacles: the mean takes up the resultant of load and contact, and
+    the answer is that of the whole saddle-point problem; U0 need not have the mean 0."""
+    rng = np.random.default_rng(seed)
+    n = 30
+    D = np.diff(np.eye(n), axis=0)
+    K, load, U0 = csc_array(D.T @ D), rng.normal(size=n), rng.normal(size=n)
+    C, G, gap = rng.uniform(0.5, 1.5, (1, n)), csr_array(rng.normal(size=(6, n))), np.full(6, 0.1)
+    means = Means(csr_array(C), [int(rng.integers(n))])
+    found = minimise(K, load, U0, eye_array(n, format="csc"), contacts(G, gap), means)
+    assert np.abs(C @ found.U).max() < 1e-12 and found.residual < 1e-12
+    assert (found.force > 0).any() and (G @ found.U + gap).min() > -1e-9
+    assert_allclose((G @ found.U + gap)[found.force > 0], 0, atol=1e-9)
+    assert_allclose(K @ found.U, load + G.T @ found.force + C.T @ found.mean_force, atol=1e-10 * np.abs(found.U).max())

@@ -1,5 +1,7 @@
 """Solving: lips where they should be, forces in balance, convergence to Williams' field, the tip's flip."""
 
+import warnings
+
 import numpy as np
 import pytest
 import shapely
@@ -12,6 +14,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.sizing import SizeField
 from xfemnav.mechanics import minimise
+from xfemnav.mechanics.arcs import Arc
 from xfemnav.mechanics.elasticity import Material, stiffness, strain_matrices
 from xfemnav.mechanics.lips import Retraction, crossings, lip_quadrature
 from xfemnav.mechanics.outline import Skull
@@ -193,6 +196,33 @@ def test_the_triangles_are_the_map():
     assert solution.max_displacement_mm == pytest.approx(np.linalg.norm(u, axis=1).max())
     share = solution.rest_areas[solution.det_F <= solution.det_F_p01].sum() / solution.rest_areas.sum()
     assert 0.01 <= share < 0.02
+
+
+def halves(move):
+    """A rectangle cut right through: its lower half fixed, its upper half in a skull that it only touches; a blade
+    moves the lower lip by `move` mm upwards."""
+    mesh = jittered(12.0, 10.0, 0.5, 0.25, seed=25)
+    cut = cut_in(mesh, (-1, 5.03), (13, 5.03))
+    skull = Skull("contact", 0.0, 0.0, arcs=(Arc((0.0, 3.0), (12.0, 3.0), "fixed"),))
+    return pose(mesh, (cut,), BRAIN, skull, (Retraction(0, -1, displacement_mm=(0.0, move), blade=(0.3, 0.6)),))
+
+
+def test_a_half_that_its_lip_presses_into_the_skull_is_held():
+    """No load but the lips' own: they press the hanging half onto the skull, which bears it; or nothing moves it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        pressed, at_rest = solve(halves(0.2)), solve(halves(0.0))
+    assert {force.cut for force in pressed.contact} == {-1, 0} and pressed.residual < 1e-8
+    assert at_rest.max_displacement_mm == 0
+
+
+def test_a_half_that_its_lip_pushes_away_from_the_skull_drifts():
+    mesh = jittered(12.0, 10.0, 0.5, 0.25, seed=25)
+    cut = cut_in(mesh, (-1, 5.03), (13, 5.03))
+    arcs = (Arc((0.0, 0.0), (12.0, 0.0), "fixed"), Arc((12.0, 10.0), (0.0, 10.0), "free"))
+    blade = Retraction(0, -1, displacement_mm=(0.0, 0.2), blade=(0.3, 0.6))
+    with pytest.raises(XfemnavError, match=r"E406.*does not bear \d+%"):
+        solve(pose(mesh, (cut,), BRAIN, Skull("contact", 0.0, 0.0, arcs=arcs), (blade,)))
 
 
 def test_a_residual_above_the_limit_is_an_error(monkeypatch):

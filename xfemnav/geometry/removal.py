@@ -23,7 +23,7 @@ def parts_inside(region, corners, part, n_parts) -> np.ndarray:
 def walls(ends, parts, removed, resections) -> dict:
     """Facets (w, 2, 2) mm between parts on their left and right (w, 2), turned to have what stays on the left.
 
-    With each its resection; -1 where there is none.
+    With each its resection, the nearest, and the first of those that share it; -1 where there is none.
     """
     ends, turned = np.array(ends), removed[parts[:, 0]]
     ends[turned] = ends[turned][:, ::-1]
@@ -35,6 +35,13 @@ def walls(ends, parts, removed, resections) -> dict:
         "wall_ends": ends,
         "wall_resection": np.argmin(off, axis=0) if off else np.full(len(ends), -1),
     }
+
+
+def wall_of(subcells, resection, k, slack) -> np.ndarray:
+    """Facets (w,) bool of the wall of resection k, also where it goes along another's: within `slack` (w,) mm of it."""
+    middles = shapely.points(subcells.wall_ends.mean(axis=1))
+    shared = (subcells.wall_resection >= 0) & (shapely.distance(resection.region, middles) <= slack)
+    return shared | (subcells.wall_resection == k)
 
 
 def take_out(subcells, parts):

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics import neo_hookean
-from xfemnav.mechanics.minimise import CONTRADICTION_MM, RESIDUAL_LIMIT, Minimum, minimise
+from xfemnav.mechanics.minimise import CONTRADICTION_MM, RESIDUAL_LIMIT, Minimum, minimise, without_means
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.space import Space
@@ -35,7 +35,7 @@ class Equilibrium:
     """U (n_dof,) mm; residual: relative; what it took.
 
     tissue (n_dof,) mN: nodal forces of the tissue, per mm of thickness; energy that it stores, kPa mm^2; force (g,):
-    multipliers of the contacts.
+    multipliers of the contacts; mean_force (m,): those of the means.
     """
 
     U: np.ndarray
@@ -43,6 +43,7 @@ class Equilibrium:
     tissue: np.ndarray
     energy: float
     force: np.ndarray
+    mean_force: np.ndarray
     load_steps: int
     newton_iterations: int
 
@@ -155,7 +156,8 @@ def equilibrium(problem: Problem, U0, T, linear: Minimum) -> Equilibrium:
             raise XfemnavError("E410", _too_much(problem, reached))
         else:
             step /= 2
-    return Equilibrium(U, found.residual, whole.tissue(U), whole.stored(U), found.force, load_steps, iterations)
+    forces = found.force, found.mean_force
+    return Equilibrium(U, found.residual, whole.tissue(U), whole.stored(U), *forces, load_steps, iterations)
 
 
 def _size(organ, U0, T, linear):
@@ -192,10 +194,11 @@ def _newton(organ, T, U, size):
         towards = _newton_step(organ, T, U, U)
         force, before, U = towards.force, U, _descended(organ, U, towards.U - U)
         slope = organ.slope(U) if contacts is None else organ.slope(U) - contacts.G.T @ force
-        residual = float(np.linalg.norm(T.T @ slope) / size)
+        rest, mean_force = without_means(-(T.T @ slope), T, organ.problem.means)
+        residual = float(np.linalg.norm(rest) / size)
         if residual <= RESIDUAL_LIMIT or U is before:
-            return _Attempt(U, residual, force, iterations + 1)
-    return _Attempt(U, residual, force, MOST_ITERATIONS * organ.admits(U))
+            return _Attempt(U, residual, force, mean_force, iterations + 1)
+    return _Attempt(U, residual, force, np.zeros(0), MOST_ITERATIONS * organ.admits(U))
 
 
 def _newton_step(organ, T, U, start):
@@ -203,7 +206,7 @@ def _newton_step(organ, T, U, start):
     for convex in (False, True):
         K = organ.stiffness(U, convex)
         try:
-            return minimise(K, K @ U - organ.slope(U), start, T, organ.problem.contacts)
+            return minimise(K, K @ U - organ.slope(U), start, T, organ.problem.contacts, organ.problem.means)
         except XfemnavError as error:
             if convex or error.code != "E407":
                 raise
@@ -230,9 +233,10 @@ def _keeps(contacts, U):
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """Where Newton's method ended: U (n_dof,) mm, relative residual, multipliers of the contacts, steps taken."""
+    """Where Newton's method ended: U (n_dof,) mm, relative residual, multipliers of contacts and means, steps taken."""
 
     U: np.ndarray
     residual: float
     force: np.ndarray
+    mean_force: np.ndarray
     iterations: int

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xfemnav.geometry.removal import wall_of
+from xfemnav.geometry.snapping import SNAP
 from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.space import Space
 
@@ -44,7 +46,7 @@ class Pressure:
     resection: int | None = None
 
 
-def dead_loads(space: Space, gravity: Gravity | None, pressures: tuple[Pressure, ...]) -> np.ndarray:
+def dead_loads(space: Space, gravity: Gravity | None, pressures: tuple[Pressure, ...], resections=()) -> np.ndarray:
     """Nodal forces (n_dof,) mN per mm of thickness of the weight and of all pressures."""
     load, sub = np.zeros(space.enrichment.n_dof), space.subcells
     if gravity is not None:
@@ -53,20 +55,22 @@ def dead_loads(space: Space, gravity: Gravity | None, pressures: tuple[Pressure,
         if pressure.resection is None:
             load += pressure_load(space, sub.rim_ends, sub.rim_part, pressure.kpa)
         else:
-            own = sub.wall_resection == pressure.resection
+            k = pressure.resection
+            own = wall_of(sub, resections[k], k, 4 * SNAP * space.mesh.sizes[sub.part_cell[sub.wall_part]])
             load += pressure_load(space, sub.wall_ends[own], sub.wall_part[own], pressure.kpa)
     return load
 
 
 def weight_load(space: Space, gravity: Gravity) -> np.ndarray:
-    """Nodal forces (n_dof,) mN per mm of thickness of the tissue's weight.
+    """Nodal forces (n_dof,) mN per mm of thickness of the weight of the tissue that is left.
 
     Plain and Heaviside functions are linear on each triangle, so one point is exact; the level of a fluid is followed
     to the triangle.
     """
     sub = space.subcells
-    about_tip = np.isin(sub.part, space.branch_parts)
-    points, weights, parts = sub.corners[~about_tip].mean(axis=1), sub.areas[~about_tip], sub.part[~about_tip]
+    left, about_tip = ~sub.removed[sub.part], np.isin(sub.part, space.branch_parts)
+    plain, about_tip = left & ~about_tip, left & about_tip
+    points, weights, parts = sub.corners[plain].mean(axis=1), sub.areas[plain], sub.part[plain]
     if about_tip.any():
         at, w, owner = tip_rule(sub.corners[about_tip], sub.tips)
         points, weights = np.concatenate([points, at]), np.concatenate([weights, w])

@@ -1,15 +1,18 @@
-"""Minimise a quadratic energy: 1/2 U'KU - f'U under equalities, eliminated exactly, and inequalities.
+"""Minimise a quadratic energy: 1/2 U'KU - f'U under equalities, eliminated exactly, means, and inequalities.
 
 The inequalities G U + gap >= 0 say that surfaces do not pass through each other (Signorini's conditions). Their
 multipliers are the pressing forces: never negative, and zero where there is a gap. K is factored once; what is left is
 a small dense problem for the forces alone, solved by an active set whose energy falls at every step, so that it cannot
 go round in circles (Lawson & Hanson 1974, Bro & de Jong 1997), and repeated on the true gaps until they are closed.
+
+A mean over a body that nothing else holds couples all of its unknowns, so it is not eliminated: the body is pinned
+on as few unknowns as it has free motions, and the pins' forces are then traded for the means' exactly.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, lu_factor, lu_solve
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import splu
 
@@ -63,29 +66,44 @@ class Contacts:
 
 
 @dataclass(frozen=True, eq=False)
+class Means:
+    """Conditions C U = 0, `C` (m, n_dof), on bodies that move freely without them, with rows over a whole body.
+
+    `pins` (m,): as many degrees of freedom; with these at rest no body can move rigidly.
+    """
+
+    C: csr_array
+    pins: np.ndarray
+
+    def __post_init__(self):
+        object.__setattr__(self, "C", csr_array(self.C))
+        object.__setattr__(self, "pins", frozen_array(self.pins, np.int64, (self.C.shape[0],), "pins"))
+
+
+@dataclass(frozen=True, eq=False)
 class Minimum:
-    """U (n_dof,) mm; relative residual; force (g,) mN per mm: multipliers of the contacts, 0 where there is a gap."""
+    """U (n_dof,) mm; relative residual; multipliers: force (g,) mN per mm of the contacts, 0 where there is a gap, and
+    mean_force (m,) of the means."""
 
     U: np.ndarray
     residual: float
     force: np.ndarray
+    mean_force: np.ndarray
 
 
-def minimise(K, load, U0, T, contacts: Contacts | None = None) -> Minimum:
+def minimise(K, load, U0, T, contacts: Contacts | None = None, means: Means | None = None) -> Minimum:
     """The minimum over U = U0 + T q; K (n_dof, n_dof) kPa, load (n_dof,), U0 and T from `eliminate`.
 
     Raises XfemnavError E405 when what is held pushes surfaces through each other; E407 when the energy has no minimum,
     when the residual stays above 1e-8, or when no forces were found that keep the gaps open.
     """
     A = (T.T @ K @ T).tocsc()
+    if means is None:
+        lu = _factored(A)
+    else:
+        lu = _Held(A, csr_array(means.C @ T).toarray(), csr_array(T.tocsr()[means.pins]))
+        U0 = U0 + T @ lu.reaching(-(means.C @ U0))
     b = T.T @ (load - K @ U0)
-    lu = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    if not (lu.U.diagonal() > 0).all():
-        raise XfemnavError(
-            "E407",
-            "the linear system is not positive definite, so its solution is no minimum of energy; "
-            "this is a bug, please report it with the run's parameters.",
-        )
     q, force = _refined(lu, A, b), np.zeros(0)
     if contacts is not None:
         G, gap, force = csr_array(contacts.G @ T), contacts.gap + contacts.G @ U0, np.zeros(len(contacts.gap))
@@ -93,14 +111,63 @@ def minimise(K, load, U0, T, contacts: Contacts | None = None) -> Minimum:
         q, force[live] = pressed(lu, A, b, q, G[live], gap[live])
         b = b + G.T @ force
     size = np.linalg.norm(b) + np.linalg.norm(T.T @ load)
-    residual = float(np.linalg.norm(b - A @ q) / size) if size else 0.0
+    rest, mean_force = without_means(b - A @ q, T, means)
+    residual = float(np.linalg.norm(rest) / size) if size else 0.0
     if not residual <= RESIDUAL_LIMIT:
         raise XfemnavError(
             "E407",
             f"the linear system was not solved: relative residual {residual:.1e} is above {RESIDUAL_LIMIT:.0e}; "
             "this is a bug, please report it with the run's parameters.",
         )
-    return Minimum(U0 + T @ q, residual, force)
+    return Minimum(U0 + T @ q, residual, force, mean_force)
+
+
+def without_means(forces, T, means: Means | None):
+    """Forces (n_free,) on the unknowns q less what the means take up, and the means' multipliers (m,) that do so."""
+    if means is None:
+        return forces, np.zeros(0)
+    C = csr_array(means.C @ T).toarray()
+    taken = np.linalg.lstsq(C.T, forces, rcond=None)[0]
+    return forces - C.T @ taken, -taken
+
+
+def _factored(A):
+    lu = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    if not (lu.U.diagonal() > 0).all():
+        raise XfemnavError(
+            "E407",
+            "the linear system is not positive definite, so its solution is no minimum of energy; "
+            "this is a bug, please report it with the run's parameters.",
+        )
+    return lu
+
+
+class _Held:
+    """The inverse of A (n, n) on the q with C q = 0, where A alone is singular: A q = b + C' mu.
+
+    With pins P, scaled to A's diagonal, A + P'P is positive definite, and q = (A + P'P)^-1 (b + P'z + C'mu) with
+    P q = z: a small dense problem for z and mu.
+    """
+
+    def __init__(self, A, C, P):
+        size = np.sqrt(P.multiply(P).sum(axis=1))
+        self.P = csr_array(P.multiply((np.sqrt(A.diagonal().max()) / size)[:, None]))
+        self.C, self.lu = C, _factored((A + self.P.T @ self.P).tocsc())
+        rows = np.concatenate([self.P.toarray(), C])
+        self.moved = self.lu.solve(rows.T.copy())
+        small = np.concatenate([self.P @ self.moved, C @ self.moved])
+        m = len(C)
+        small[:m, :m] -= np.eye(m)
+        self.small = lu_factor(small)
+
+    def solve(self, b):
+        """q (n,) or (n, k) for b of the same shape."""
+        q = self.lu.solve(b)
+        return q - self.moved @ lu_solve(self.small, np.concatenate([self.P @ q, self.C @ q]))
+
+    def reaching(self, d):
+        """q (n,) with C q = d (m,) that no force but the means' asks for."""
+        return self.moved @ lu_solve(self.small, np.concatenate([np.zeros(len(d)), d]))
 
 
 def _refined(lu, A, b):

@@ -7,16 +7,17 @@ held at its mean: its free rigid motions, and only those, are zero in the mean o
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.linalg import qr
+from scipy.sparse import csr_array, vstack
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
 from xfemnav.mechanics.enrichment import BRANCH
+from xfemnav.mechanics.minimise import Means
+from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.space import Space
 
 LOOSE = ("refuse", "remove", "hold")
-#: A mean over a held piece is taken over at most so many basis functions: they couple all to all.
-MEAN_OVER = 200
 #: A rigid motion is free when conditions and springs meet less than this of its square: held by so short a lever, a
 #: piece would move a hundred times as far as what holds it.
 FREE_MOTION = 1e-4
@@ -40,8 +41,9 @@ class Piece:
 
 def sort_out(
     space: Space, cuts, resections, retractions, constraints: Constraints, springs, loose: str
-) -> tuple[Constraints, np.ndarray, tuple[Piece, ...]]:
-    """Conditions that hold what is loose and stays, the parts (p,) bool that are loose and go, and all pieces.
+) -> tuple[Constraints, Means | None, np.ndarray, tuple[Piece, ...]]:
+    """All conditions, the means that hold what is loose and stays, the parts (p,) bool that are loose and go, and all
+    pieces.
 
     Resected parts move nowhere. Crumbs smaller than an element go (W311). Larger loose pieces: E306, or with `loose`
     'remove' they go (W312), with 'hold' they stay (W313). E406 when nothing holds the organ.
@@ -82,8 +84,9 @@ def sort_out(
     if crumbs:
         more = f", and {len(crumbs) - 1} smaller ones" if len(crumbs) > 1 else ""
         warn("W311", f"a loose piece of {crumbs[-1]}{more}, under the size of an element, was cut free and removed.")
-    conditions = stack([constraints, *held, _at_rest(table, sub.removed)], table.n_dof)
-    return conditions, removed, tuple(pieces)
+    conditions = stack([constraints, _at_rest(table, sub.removed)], table.n_dof)
+    means = Means(vstack([C for C, _ in held]), np.concatenate([pins for _, pins in held])) if held else None
+    return conditions, means, removed, tuple(pieces)
 
 
 def _tell(space, cuts, resections, retractions, parts, what, fate):
@@ -171,18 +174,30 @@ def _free(work, k):
 
 
 def _held_at_mean(space, parts, motions):
-    """Conditions that the displacement of a body has no part along its free rigid motions (n_dof, m)."""
-    table, sub = space.enrichment, space.subcells
-    area = np.bincount(sub.part, sub.areas, sub.n_parts)[parts]
-    share = np.bincount(table.dof[parts].ravel(), np.repeat(area / 3, 3), table.n_rows)
-    rows = np.flatnonzero(share)
-    if len(rows) > MEAN_OVER:  # as many, of the larger half, evenly through the numbering
-        rows = rows[share[rows] >= np.median(share[rows])]
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, MEAN_OVER).astype(int))]
-    weight = np.zeros(table.n_rows)
-    weight[rows] = share[rows] / share[rows].sum()
-    C = csr_array((motions * np.repeat(weight, 2)[:, None]).T)
-    return Constraints(C, np.zeros(C.shape[0]), np.full(C.shape[0], SKULL))
+    """A body's mean displacement along its free rigid motions (n_dof, m), as rows C (m, n_dof), and m pins (m,)."""
+    points, weights, owner = _rule(space, parts)
+    B = space.basis_in(points, owner)
+    along = B @ motions.reshape(B.shape[1], -1)
+    C = (B.T @ (weights[:, None] * along)).reshape(motions.shape) / weights.sum()
+    # Far apart, and not where there is hardly any tissue.
+    firm = np.sqrt(np.maximum(np.repeat(B.T @ weights, 2), 0))
+    _, pivot = qr((motions * firm[:, None]).T, mode="r", pivoting=True)
+    return csr_array(C.T), pivot[: motions.shape[1]]
+
+
+def _rule(space, parts):
+    """Points (q, 2) mm, weights (q,) mm^2 and parts (q,): exact for a function times a rigid motion, but at tips."""
+    sub = space.subcells
+    about_tip = np.isin(sub.part, space.branch_parts)
+    plain, about_tip = parts[sub.part] & ~about_tip, parts[sub.part] & about_tip
+    corners, area, part = sub.corners[plain], sub.areas[plain], sub.part[plain]
+    points = ((corners + corners[:, [1, 2, 0]]) / 2).reshape(-1, 2)
+    weights, owner = np.repeat(area / 3, 3), np.repeat(part, 3)
+    if about_tip.any():
+        at, w, triangle = tip_rule(sub.corners[about_tip], sub.tips)
+        points, weights = np.concatenate([points, at]), np.concatenate([weights, w])
+        owner = np.concatenate([owner, sub.part[about_tip][triangle]])
+    return points, weights, owner
 
 
 def _at_rest(table, parts):

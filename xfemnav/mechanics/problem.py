@@ -20,7 +20,7 @@ from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
 from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
 from xfemnav.mechanics.loads import Gravity, Pressure, dead_loads
-from xfemnav.mechanics.minimise import Contacts
+from xfemnav.mechanics.minimise import Contacts, Means
 from xfemnav.mechanics.nitsche import nitsche_terms
 from xfemnav.mechanics.outline import Skull, hung, skull_conditions
 from xfemnav.mechanics.pieces import Piece, sort_out
@@ -30,13 +30,14 @@ LIPS = ("contact", "free")
 LIP_CONSTRAINTS = ("mortar", "nitsche", "pointwise")
 TIP_ENRICHMENTS = ("topological", "geometric", "none")
 MODELS = ("linear", "neo-hookean")
-#: Above this ratio linear triangles lock: at 0.49 the energy is 7.5 to 8.3 % off (docs/sensitivity.md).
+#: Above this ratio linear triangles lock in plane strain: at 0.49 the energy is 7.5 to 8.3 % off (docs/sensitivity.md).
 LOCKING_POISSON = 0.48
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Minimise 1/2 U'(K + springs)U - load'U under C U = d and, where surfaces may touch, G U + gap >= 0 (`contacts`).
+    """Minimise 1/2 U'(K + springs)U - load'U under C U = d and, where surfaces may touch, G U + gap >= 0 (`contacts`);
+    and with mean 0 over each piece that nothing else holds (`means`).
 
     springs: the skull's ramp and the terms of Nitsche's condition, as stiffness, among them those by which `hung` holds
     what else only touches; spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts that are
@@ -63,6 +64,7 @@ class Problem:
     model: str = "linear"
     resections: tuple[Resection, ...] = ()
     pieces: tuple[Piece, ...] = ()
+    means: Means | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
@@ -144,7 +146,7 @@ def pose(
         raise ValueError(f"model is {model!r}, not one of {MODELS}")
     if model != "linear" and lip_constraint == "nitsche":
         raise XfemnavError("E411", "lips by Nitsche's condition are linear; use --lip-constraint mortar with it.")
-    if (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:
+    if material.stress_state == "strain" and (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:
         warn(
             "W405",
             f"Poisson's ratio {poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
@@ -163,7 +165,7 @@ def pose(
         _refuse_swapped(space, cuts, retractions, spans)
         outline = skull_conditions(space, skull, mouths, material, boundary_displacement, boundary_weight)
         conditions, springs = [outline.constraints], outline.springs
-        load = outline.load + dead_loads(space, gravity, pressures)
+        load = outline.load + dead_loads(space, gravity, pressures, resections)
         for group, (retraction, span) in enumerate(zip(retractions, spans)):
             if not retraction.holds:
                 load += lip_load(space, retraction, span)
@@ -175,7 +177,7 @@ def pose(
         weak = hung(space, stack(conditions, n_dof), springs, outline.weak)
         springs = springs if weak is None else csr_array(springs + weak)
         conditions = stack(conditions, n_dof)
-        constraints, gone, pieces = sort_out(space, cuts, resections, retractions, conditions, springs, loose)
+        constraints, means, gone, pieces = sort_out(space, cuts, resections, retractions, conditions, springs, loose)
         if not gone.any():
             break
         taken.extend(piece for piece in pieces if piece.fate == "removed")
@@ -204,6 +206,7 @@ def pose(
         model=model,
         resections=resections,
         pieces=(*pieces, *sorted(taken, key=lambda piece: -piece.area_mm2)),
+        means=means,
     )
 
 

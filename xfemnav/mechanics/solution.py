@@ -23,6 +23,8 @@ from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
 
 #: The part of the load that weak springs may bear in the place of the skull.
 DRIFT = 0.05
+#: Less than this part of all forces is rounding.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ def solve(problem: Problem) -> Solution:
     """Minimise 1/2 U'KU - f'U under the problem's conditions; or the potential energy of neo-Hookean tissue.
 
     The conditions are eliminated exactly (U = U0 + T q); see `minimise` and `equilibrium` for what is left. Raises
-    XfemnavError E405, E407; E410 where neo-Hookean tissue has no equilibrium.
+    XfemnavError E405, E406, E407; E410 where neo-Hookean tissue has no equilibrium.
     """
     elastic = stiffness(problem.space, problem.material)
     K = (elastic + problem.springs).tocsc()
@@ -138,18 +140,22 @@ def solve(problem: Problem) -> Solution:
     constraints = problem.constraints
     U0, T = eliminate(replace(constraints, C=constraints.C @ basis))
     U0, T = basis @ U0, (basis @ T).tocsc()
-    linear = minimise(K, problem.load, U0, T, problem.contacts)
+    linear = minimise(K, problem.load, U0, T, problem.contacts, problem.means)
     if problem.model == "linear":
         tissue = elastic @ linear.U
-        found = Equilibrium(linear.U, linear.residual, tissue, float(linear.U @ tissue / 2), linear.force, 1, 1)
+        energy, forces = float(linear.U @ tissue / 2), (linear.force, linear.mean_force)
+        found = Equilibrium(linear.U, linear.residual, tissue, energy, *forces, 1, 1)
     else:
         found = equilibrium(problem, U0, T, linear)
     U = found.U
-    _refuse_drift(problem, U)
+    touching, lips = problem.contacts, np.zeros(len(U))
     reaction = found.tissue + problem.springs @ U - problem.load
-    touching = problem.contacts
     if touching is not None:
+        lips = touching.G.T @ np.where(touching.cut >= 0, found.force, 0.0)
         reaction = reaction - touching.G.T @ found.force
+    if problem.means is not None:
+        reaction = reaction - problem.means.C.T @ found.mean_force
+    _refuse_drift(problem, U, lips, reaction)
     U = U.reshape(-1, 2)
     triangles = _triangles(problem, U)
     loop = problem.mesh.points[problem.mesh.boundary_loops[0]]
@@ -177,16 +183,25 @@ def solve(problem: Problem) -> Solution:
     )
 
 
-def _refuse_drift(problem, U):
-    """What only touches the skull, and hangs on weak springs, must be pressed onto it by its load."""
+def _refuse_drift(problem, U, lips, reaction):
+    """What only touches the skull, and hangs on weak springs, must be pressed onto it by what acts on it.
+
+    That is its load, the lips (n_dof,) that press on it, and the forces (n_dof,) of what holds it, in mN.
+    """
     if problem.hung is None:
         return
-    carried, load = np.abs(problem.hung @ U).sum(), np.abs(problem.load).sum()
-    if carried > DRIFT * load:
+    table = problem.enrichment
+    on = (problem.hung.diagonal() != 0).reshape(-1, 2).any(axis=1)
+    bodies = np.unique(table.body[on[table.dof].any(axis=1)])
+    own = np.zeros((table.n_rows, 2), dtype=bool)
+    own[table.dof[np.isin(table.body, bodies)]] = True
+    acting = np.abs(problem.load) + np.abs(lips) + np.abs(reaction)
+    carried, load = np.abs(problem.hung @ U).sum(), acting[own.ravel()].sum()
+    if carried > max(DRIFT * load, ROUNDING * acting.sum()):
         raise XfemnavError(
             "E406",
-            f"nothing holds the organ: the skull that it only touches does not bear {carried / load:.0%} of its load; "
-            "hold an arc of the outline or a lip, or turn the load towards the skull.",
+            f"nothing holds the organ: the skull that it only touches does not bear {carried / load:.0%} of what acts "
+            "on it; hold an arc of the outline or a lip, or turn the load towards the skull.",
         )
 
 
