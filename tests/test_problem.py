@@ -1,5 +1,7 @@
 """Posing: what is refused, patch tests, rigid opening, and answers that turn, flip and scale with the question."""
 
+import warnings
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -40,6 +42,9 @@ def test_unknown_words_are_refused():
 def test_tissue_that_locks_is_named():
     with pytest.warns(XfemnavWarning, match="W405"):
         pose(MESH, (CUT,), Material(poisson=0.49), HARD_SKULL)
+    with warnings.catch_warnings():  # in plane stress the tissue is free to thicken
+        warnings.simplefilter("error")
+        pose(MESH, (CUT,), Material(poisson=0.49, stress_state="stress"), HARD_SKULL)
 
 
 def test_a_free_organ_that_nothing_holds_is_refused():
