@@ -66,7 +66,7 @@ def run_item(item: Item, started: list[subprocess.Popen]) -> Outcome:
     started.append(process)
     words = process.communicate()[1].decode(errors="replace").strip().splitlines()
     succeeded = process.returncode in (EXIT_OK, EXIT_UNTRUSTED)
-    record = json.loads((item.folder / "run.json").read_text()) if succeeded else {"stages": []}
+    record = json.loads((item.folder / "run.json").read_text(encoding="utf-8")) if succeeded else {"stages": []}
     stages = {stage["name"]: stage["status"] for stage in record["stages"]}
     message = "" if process.returncode == EXIT_OK else words[-1] if words else f"ended with status {process.returncode}"
     return Outcome(item, process.returncode, stages, message)

@@ -97,7 +97,7 @@ def write(folder) -> dict[str, Path]:
     nib.streamlines.save(nib.streamlines.Tractogram(fibres(), affine_to_rasmm=np.eye(4)), str(paths["fibres"]))
     rows = [f"{x:g},{y:g},18,{name}" for name, (x, y) in TARGETS.items()]
     paths["targets"].write_text("\n".join(["r,a,s,label", *rows]) + "\n")
-    paths["scenario"].write_text(SCENARIO.read_text())
+    paths["scenario"].write_text(SCENARIO.read_text(encoding="utf-8"), encoding="utf-8")
     return paths
 
 

@@ -65,3 +65,11 @@ def test_plane_millimetres_are_not_read_in_voxels():
 ])
 def test_what_has_the_wrong_form_is_left_to_the_schema(nonsense):
     problems(**nonsense)
+
+
+def test_a_pressure_begins_with_its_resection_or_later():
+    load = {"pressure": [{"name": "packing", "on": "tumour", "kpa": 1.0}]}
+    out, cut = step("out", acts=["tumour"]), step("cut", acts=["approach", "blade"])
+    assert problems(load=load, step=[cut, out]) == ""
+    early = problems(load=load, step=[step("cut", acts=["approach", "blade", "packing"]), out])
+    assert early == "step.0: the pressure 'packing' acts before the resection 'tumour'"

@@ -117,7 +117,7 @@ def _steps(raw):
         found += [f"step.{i}: '{blade}' acts before its cut '{cut}'" for blade, cut in cut_of.items()
                   if blade in acting and cut in every and cut not in acting]
         found += [f"step.{i}: the pressure '{pressure}' acts before the resection '{on}'"
-                  for pressure, on in wall_of.items() if pressure in acting and on in every and on not in acting]
+                  for pressure, on in wall_of.items() if pressure in named and on in every and on not in acting]
     return found
 
 

@@ -126,7 +126,7 @@ def _record_in(path: Path) -> dict | None:
 
 def run_schema() -> dict:
     """The JSON Schema of run.json."""
-    return json.loads(Path(__file__).with_name("run.schema.json").read_text())
+    return json.loads(Path(__file__).with_name("run.schema.json").read_text(encoding="utf-8"))
 
 
 class OutputFolder:

@@ -201,7 +201,7 @@ class PressureSection(Section):
     """A pressure on the wall of a resection, or on the outline."""
 
     name: Name = Field("pressure", description="what steps call it")
-    on: Name = Field(description="name of the resection, or `outline`")
+    on: Name = Field(description="name of the resection, with which it begins, or `outline`")
     kpa: float = Field(description="kPa, positive into the tissue (1 kPa is 7.5 mmHg)")
 
 

@@ -37,7 +37,7 @@ def save(folder: Path, value) -> None:
 def load(folder: Path):
     """The value that `save` wrote. Raises XfemnavError E701 when the files are not in this format."""
     try:
-        tree = json.loads((folder / TREE).read_text())
+        tree = json.loads((folder / TREE).read_text(encoding="utf-8"))
         with zipfile.ZipFile(folder / ARRAYS) as archive:
             arrays = {name.removesuffix(".npy"): read_array(archive.read(name)) for name in archive.namelist()}
         return _decode(tree, arrays)
