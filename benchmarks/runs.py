@@ -8,14 +8,13 @@ the child process on a processor, and on the wall's clock; medians of 5.
 
 from benchmarks.timing import keep, mark, table  # isort: skip (sets the number of threads)
 
-import os
+import json
 import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 from statistics import median
-from time import perf_counter
 
 import nibabel
 import numpy as np
@@ -25,6 +24,15 @@ from xfemnav.imaging.warp import enclosed
 
 REPEATS, SIDE, PIXEL_MM = 5, 512, 0.36
 COMMAND = str(Path(sys.executable).with_name("xfemnav"))
+# A small process starts the command: a child's peak memory counts from its parent's.
+START = """
+import json, os, subprocess, sys, time
+start = time.perf_counter()
+child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+_, status, used = os.wait4(child.pid, 0)
+child.returncode = os.waitstatus_to_exitcode(status)
+print(json.dumps([child.returncode, used.ru_utime + used.ru_stime, time.perf_counter() - start, used.ru_maxrss / 1000]))
+"""
 
 
 def write_slice(folder: Path) -> tuple[Path, Path]:
@@ -41,15 +49,13 @@ def write_slice(folder: Path) -> tuple[Path, Path]:
     return tuple(found)
 
 
-def once(*words: str) -> tuple[float, float, float]:
-    """Processor's seconds, wall's seconds and peak MB of one run of the command."""
-    start = perf_counter()
-    child = subprocess.Popen([COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, used = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    if child.returncode:
-        sys.exit(f"xfemnav {' '.join(words)} ended with {child.returncode}")
-    return used.ru_utime + used.ru_stime, perf_counter() - start, used.ru_maxrss / 1000
+def once(*words: str) -> list[float]:
+    """Processor's seconds, wall's seconds and peak MB of one run of a command."""
+    told = subprocess.run([sys.executable, "-S", "-c", START, *words], capture_output=True, text=True, check=True)
+    code, *found = json.loads(told.stdout)
+    if code:
+        sys.exit(f"{' '.join(words)} ended with {code}")
+    return found
 
 
 def main() -> None:
@@ -68,26 +74,18 @@ def main() -> None:
         }
         rows, marks = [], []
         for kind, (words, cold, limit) in kinds.items():
-            once(*words)  # compiles kernels, fills the cache
+            once(COMMAND, *words)  # compiles kernels, fills the cache
             found = []
             for _ in range(REPEATS):
                 if cold:
                     shutil.rmtree(cache)
-                found.append(once(*words))
+                found.append(once(COMMAND, *words))
             processor, wall, memory = (median(column) for column in zip(*found))
             rows.append((kind, processor, wall, memory))
             marks.append(mark(f"run: {kind}, s", limit, processor))
-    bare = median(bare_python() for _ in range(REPEATS))
+    bare = median(once(sys.executable, "-c", "pass")[0] for _ in range(REPEATS))
     text = table(("run", "seconds", "wall's seconds", "peak MB"), rows)
     keep("runs", f"{text}\nPython itself starts in {bare:.3f} s.\n", marks)
-
-
-def bare_python() -> float:
-    """Seconds in which Python starts and ends."""
-    child = subprocess.Popen([sys.executable, "-c", "pass"])
-    _, status, used = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    return used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":

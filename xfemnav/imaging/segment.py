@@ -15,7 +15,6 @@ from xfemnav.imaging.masks import clean, dice, one_piece
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import Slice, values_on
 from xfemnav.imaging.stripped import foreground, is_stripped
-from xfemnav.imaging.vote import head_of, largest_otsu, vote
 from xfemnav.imaging.working import Working, robust_range, working_copy
 
 METHODS = ("auto", "otsu", "vote", "svc")
@@ -61,6 +60,8 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
         return _result(slice, one_piece(work.back(found)), "svc", {"kept": dice(found, prior)})
     if method == "auto" and skull != "on" and (skull == "stripped" or is_stripped(slice)):
         return _result(slice, one_piece(foreground(slice)), "stripped", {})
+    from xfemnav.imaging.vote import head_of, largest_otsu, vote  # scikit-image, which a given mask does without
+
     head = head_of(work)
     if method == "otsu":
         found, info = largest_otsu(work), {}
