@@ -55,7 +55,7 @@ def sort_out(
     bodies = np.unique(table.body[~sub.removed])
     bodies = bodies[np.argsort(-area[bodies], kind="stable")]
     motions, work = _rigid_work(space, constraints, springs, bodies)
-    fates, removed, held, crumbs = ["fixed"] * len(bodies), np.zeros(sub.n_parts, dtype=bool), [], []
+    fates, removed, held, crumbs = ["fixed"] * len(bodies), np.zeros(sub.n_parts, dtype=bool), {}, []
     while (k := _smallest_free(work)) is not None:
         parts, free = table.body == bodies[k], _free(work, k)
         is_crumb = area[bodies[k]] < np.median(space.mesh.areas)
@@ -69,10 +69,10 @@ def sort_out(
         what = f"{area[bodies[k]]:.3g} mm2 ({100 * area[bodies[k]] / area[bodies].sum():.2g} % of the tissue)"
         if is_crumb:
             crumbs.append(f"{what} about {_mm(_place(sub, parts))}")
-        else:
+        elif k not in held:
             _tell(space, cuts, resections, retractions, parts, what, fates[k])
-        if fates[k] == "held":
-            held.append(_held_at_mean(space, parts, motions[:, 3 * k : 3 * k + 3] @ free))
+        if fates[k] == "held":  # perhaps again: a motion of several pieces may ask for more of this one
+            held[k] = np.hstack([held.get(k, np.empty((3, 0))), free])
         removed |= parts & (fates[k] == "removed")
         own = slice(3 * k, 3 * k + 3)
         work[own, own] += free @ free.T if fates[k] == "held" else np.eye(3)
@@ -85,7 +85,11 @@ def sort_out(
         more = f", and {len(crumbs) - 1} smaller ones" if len(crumbs) > 1 else ""
         warn("W311", f"a loose piece of {crumbs[-1]}{more}, under the size of an element, was cut free and removed.")
     conditions = stack([constraints, _at_rest(table, sub.removed)], table.n_dof)
-    means = Means(vstack([C for C, _ in held]), np.concatenate([pins for _, pins in held])) if held else None
+    rows = [
+        _held_at_mean(space, table.body == bodies[k], motions[:, 3 * k : 3 * k + 3] @ _span(free))
+        for k, free in held.items()
+    ]
+    means = Means(vstack([C for C, _ in rows]), np.concatenate([pins for _, pins in rows])) if rows else None
     return conditions, means, removed, tuple(pieces)
 
 
@@ -169,7 +173,12 @@ def _smallest_free(work):
 
 def _free(work, k):
     """Orthonormal motions (3, m) of body k that take part in what nothing meets."""
-    u, size, _ = np.linalg.svd(_null(work)[3 * k : 3 * k + 3])
+    return _span(_null(work)[3 * k : 3 * k + 3])
+
+
+def _span(motions):
+    """Orthonormal motions (3, m) that span those given (3, n), but for small ones."""
+    u, size, _ = np.linalg.svd(motions)
     return u[:, : int((size > PART).sum())]
 
 
