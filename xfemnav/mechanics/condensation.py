@@ -147,7 +147,10 @@ def condense(
     nodes = np.zeros(len(distance), dtype=bool)
     nodes[order[distance[order] <= reach_mm]] = True
     nodes[mesh.boundary_edges[near]] = True
-    found.compliance.among(np.flatnonzero(nodes & ~found.held))
+    # Sorted across the path, as the nodes of one cut are near to each other.
+    along = np.subtract(path[-1], path[0])
+    known = np.flatnonzero(nodes & ~found.held)
+    found.compliance.among(known[np.argsort(mesh.points[known] @ [-along[1], along[0]])])
     return found
 
 
@@ -164,7 +167,7 @@ class Compliance:
         if len(missing):
             self._learn(missing)
         at = (2 * self._place[nodes][:, None] + np.arange(2)).ravel()
-        return self._G[np.ix_(at, at)]
+        return self._G.ravel().take(len(self._G) * at[:, None] + at)
 
     def _learn(self, missing):
         old, new = len(self.nodes), len(self.nodes) + len(missing)

@@ -158,12 +158,6 @@ def stiffness_of_parts(space: Space, material: Material | Tissue, chosen) -> csc
     )
 
 
-def stiffness_entries(space: Space, material: Material | Tissue, chosen) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, columns and values kPa of `stiffness_of_parts`."""
-    K = stiffness_of_parts(space, material, chosen).tocoo()
-    return K.row, K.col, K.data
-
-
 def plain_blocks(gradients, area, D) -> np.ndarray:
     """K_c = area B'DB (k, 6, 6) kPa of linear triangles with gradients (k, 3, 2) 1/mm, area (k,) mm^2, D (k, 3, 3)."""
     B = strain_operator(gradients)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csc_array, eye_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
@@ -18,10 +17,10 @@ from xfemnav.geometry.subcells import Subcells, embed
 from xfemnav.geometry.window import Window, window
 from xfemnav.mechanics.condensation import Condensation, chosen, with_rim
 from xfemnav.mechanics.constraints import Constraints
-from xfemnav.mechanics.elasticity import Material, Tissue, plain_blocks, stiffness_entries
+from xfemnav.mechanics.elasticity import Material, Tissue, plain_blocks, stiffness_of_parts
 from xfemnav.mechanics.enrichment import HEAVISIDE, Enrichment, enrich
 from xfemnav.mechanics.outline import skull_conditions
-from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
+from xfemnav.mechanics.reduction import blocks, inverse_roots, vector_tip_basis
 from xfemnav.mechanics.space import Space
 
 
@@ -39,8 +38,9 @@ class Incision:
 
     space: mesh, subcells and basis of the `window` about the cut, whose rim is that of the organ;
     rows (a,): its basis functions that are unknown here; number (n_dof,) the unknown of each degree of freedom;
-    uncut (2 k, 2 k) kPa: the uncut organ's stiffness condensed onto the first k rows, the nodes; A (n, n): stiffness
-    of the scaled unknowns q, and R (2 a, n) the map u = R q; skull: conditions of the skull that are no plain zeros.
+    give (2 k, 2 k): lower Cholesky factor of the uncut organ's compliance, mm per mN per mm, at the first k rows, the
+    nodes; A (n, n): stiffness of the scaled unknowns q, and R (2 a, n) the map u = R q; skull: conditions of the skull
+    that are no plain zeros.
     """
 
     organ: Condensation
@@ -49,7 +49,7 @@ class Incision:
     space: Space
     rows: np.ndarray
     number: np.ndarray
-    uncut: np.ndarray
+    give: np.ndarray
     A: np.ndarray
     R: "Scaling"
     skull: Constraints
@@ -64,10 +64,10 @@ class Incision:
     def expand(self, u) -> tuple[np.ndarray, np.ndarray]:
         """All coefficients from the unknowns u (2 a, k) mm: those of the organ's nodes (n_nodes, 2, k), and of the
         window's basis (n_rows, 2, k)."""
-        k = len(self.uncut) // 2
+        k = len(self.give) // 2
         nodes = self.window.nodes[self.rows[:k]]
         forces = np.zeros((len(self.organ.mesh.points), 2, u.shape[1]))
-        forces[nodes] = (self.uncut @ u[: 2 * k]).reshape(k, 2, -1)
+        forces[nodes] = lapack.dpotrs(self.give, u[: 2 * k], lower=True)[0].reshape(k, 2, -1)
         U = self.organ.solve(forces)
         U[nodes] = u[: 2 * k].reshape(k, 2, -1)
         own = np.zeros((self.space.enrichment.n_rows, 2, u.shape[1]))
@@ -109,7 +109,6 @@ def incise(
     if not organ.reaches(mouths):
         raise OutOfReach
     outline = skull_conditions(space, organ.skull, mouths, material)
-    springs = outline.springs.tocoo()
     held = np.zeros(table.n_rows)
     held[: len(mesh.points)] = organ.held[part.nodes]
     fixed, skull = _live(outline.constraints, np.repeat(held, 2))
@@ -122,21 +121,20 @@ def incise(
     parts = cells[sub.part_cell]
     needed = np.zeros(table.n_rows, dtype=bool)
     for rows in (table.dof[parts], table.dof[sub.lip_parts], table.entry_row[:, None] + np.arange(4),
-                 mesh.cells[cells], fixed // 2, skull.C.indices // 2, springs.row // 2):
+                 mesh.cells[cells], fixed // 2, skull.C.indices // 2, outline.springs.indices // 2):
         needed[rows] = True
     if needed[held > 0].any():
         raise OutOfReach
     rows = np.flatnonzero(needed)
     number = np.full(2 * table.n_rows, -1)
     number[(2 * rows[:, None] + np.arange(2)).ravel()] = np.arange(2 * len(rows))
-    K = np.zeros((2 * len(rows),) * 2)
-    i, j, values = stiffness_entries(space, material, parts)
-    np.add.at(K, (number[i], number[j]), values)
-    np.add.at(K, (number[springs.row], number[springs.col]), springs.data)
-    uncut = _condensed(organ, part.nodes[rows[rows < n]])
-    outside = uncut - _plain(part.mesh, material, np.flatnonzero(cells), rows[rows < n])
-    A, R = _scaled(space, material, tip_enrichment, K, outside, rows, number[fixed])
-    return Incision(organ, cuts, part, space, rows, number, uncut, A, R, skull)
+    nodes = rows[rows < n]
+    give, outside = _outside(organ, part, material, np.flatnonzero(cells), nodes)
+    plain, tips = _order(table, rows, number[fixed])
+    stiffness = stiffness_of_parts(space, material, parts), outline.springs
+    K = _gathered(np.concatenate([plain, tips]), number, outside, stiffness)
+    A, R = _scaled(space, material, tip_enrichment, rows, K, plain, tips)
+    return Incision(organ, cuts, part, space, rows, number, give, A, R, skull)
 
 
 def _space(organ, cuts, tip_enrichment, tip_radius_mm):
@@ -193,11 +191,13 @@ def _restricted(material, cells):
     return Tissue(material.young_kpa[cells], material.poisson[cells], material.stress_state)
 
 
-def _condensed(organ, nodes):
-    """Stiffness (2 k, 2 k) kPa of the uncut organ condensed onto nodes (k,): the inverse of their compliance."""
-    factor, _ = lapack.dpotrf(organ.compliance.among(nodes), lower=True, overwrite_a=True)
-    inverse, _ = lapack.dpotri(factor, lower=True, overwrite_c=True)
-    return np.tril(inverse) + np.tril(inverse, -1).T
+def _outside(organ, part, material, cells, nodes):
+    """Lower Cholesky factor of the compliance of `nodes` (k,), and the stiffness (2 k, 2 k) kPa that the organ has on
+    them without the `cells` (c,): the inverse of that compliance, less the uncut cells."""
+    give, _ = lapack.dpotrf(organ.compliance.among(part.nodes[nodes]).T, lower=True, overwrite_a=True)
+    lower, _ = lapack.dpotri(give, lower=True)
+    np.einsum("ii->i", lower)[:] /= 2
+    return give, lower + lower.T - _plain(part.mesh, material, cells, nodes)
 
 
 def _plain(mesh, material, cells, nodes):
@@ -220,33 +220,47 @@ def _live(conditions, held) -> tuple[np.ndarray, Constraints]:
     return C.indices[C.indptr[:-1][free & single]], chosen(conditions, free & ~single)
 
 
-def _scaled(space, material, tip_enrichment, K, outside, rows, fixed):
-    """A = R'(K + outside)R and the scaling R, with the blocks of tip nodes as in `node_blocks`."""
-    table = space.enrichment
-    free = np.ones(len(K), dtype=bool)
+def _order(table, rows, fixed):
+    """Unknowns that are not `fixed`: those of nodes without branch functions (p,), and those of nodes with (t,)."""
+    free = np.ones(2 * len(rows), dtype=bool)
     free[fixed] = False
     at_tip = np.repeat(np.isin(table.node[rows], table.tip_nodes), 2)
-    plain, tips = np.flatnonzero(free & ~at_tip), np.flatnonzero(free & at_tip)
-    T = eye_array(table.n_dof, format="csc")
+    return np.flatnonzero(free & ~at_tip), np.flatnonzero(free & at_tip)
+
+
+def _gathered(order, number, outside, matrices):
+    """Sum (n, n) kPa, of the unknowns in their `order` (n,), of `outside`, on the first ones, and symmetric `matrices`
+    (n_dof, n_dof), compressed."""
+    K, place = np.zeros((len(order),) * 2), np.full(number.max() + 2, -1)
+    place[order] = np.arange(len(order))
+    at, place = place[: len(outside)], place[number]
+    known = np.flatnonzero(at >= 0)
+    K[np.ix_(at[known], at[known])] = outside[np.ix_(known, known)]
+    for each in matrices:
+        i, j = place[np.repeat(np.arange(len(place)), np.diff(each.indptr))], place[each.indices]
+        known = (i >= 0) & (j >= 0)
+        K[i[known], j[known]] += each.data[known]
+    return K
+
+
+def _scaled(space, material, tip_enrichment, rows, K, plain, tips):
+    """A = R'KR and the scaling R, with the blocks of tip nodes as in `node_blocks`; K has `plain`, then `tips`."""
+    p, table = len(plain), space.enrichment
+    scale = 1 / np.sqrt(np.diagonal(K)[:p])
+    dofs, T = (2 * rows[:, None] + np.arange(2)).ravel()[tips], np.eye(len(tips))
     if tip_enrichment == "geometric":
-        T = vector_tip_basis(space, material)
-    dofs = (2 * rows[:, None] + np.arange(2)).ravel()[tips]
-    T_tips = T.tocsr()[dofs].tocsc()
-    columns = np.flatnonzero(np.diff(T_tips.indptr))
-    mix = np.zeros((len(tips), 0))
-    if len(tips):
-        mix = T_tips[:, columns].toarray()
-        block = mix.T @ K[np.ix_(tips, tips)] @ mix
-        mix = mix @ node_blocks(csc_array(block), owners(table, T)[columns]).toarray()
-    A = K
-    A[: len(outside), : len(outside)] += outside
-    scale = 1 / np.sqrt(A[plain, plain])
-    R = Scaling(len(A), plain, scale, tips, mix)
-    order, p = np.concatenate([plain, tips]), len(plain)
-    A = A[order[:, None], order]
-    A[:p] *= scale[:, None]
-    A[:, :p] *= scale
-    beside, block = A[:p, p:] @ mix, mix.T @ A[p:, p:] @ mix
-    scaled = np.empty((p + mix.shape[1],) * 2)
-    scaled[:p, :p], scaled[:p, p:], scaled[p:, :p], scaled[p:, p:] = A[:p, :p], beside, beside.T, (block + block.T) / 2
-    return scaled, R
+        T = vector_tip_basis(space, material).tocsr()[dofs].tocsc()
+        T = T[:, np.flatnonzero(np.diff(T.indptr))].toarray()
+    beside, block = K[:p, p:] @ T, T.T @ K[p:, p:] @ T
+    owner = table.node[dofs // 2][np.argmax(T != 0, axis=0)] if len(tips) else tips
+    P = np.zeros((T.shape[1],) * 2)
+    for own in blocks(owner):
+        square = own[:, :, None], own[:, None, :]
+        P[square] = inverse_roots(block[square])
+    P = P[:, P.any(axis=0)]
+    A = np.empty((p + P.shape[1],) * 2)
+    np.multiply(K[:p, :p], scale[:, None], out=A[:p, :p])
+    A[:p, :p] *= scale
+    A[:p, p:] = scale[:, None] * (beside @ P)
+    A[p:, :p], A[p:, p:] = A[:p, p:].T, P.T @ ((block + block.T) / 2) @ P
+    return A, Scaling(2 * len(rows), plain, scale, tips, T @ P)

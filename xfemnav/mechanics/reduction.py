@@ -6,6 +6,8 @@ of each node with branch functions is scaled by its inverse square root, and all
 pieces of a node do not overlap): that gives the conditioning of plain finite elements.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.sparse import csc_array, csr_array
 
@@ -65,27 +67,16 @@ def node_blocks(K: csc_array, owner) -> csr_array:
     """
     coo = K.tocoo()
     same = owner[coo.row] == owner[coo.col]
-    order = np.argsort(owner, kind="stable")
-    _, start, count = np.unique(owner[order], return_index=True, return_counts=True)
-    block = np.empty(len(owner), dtype=int)
-    place = np.empty(len(owner), dtype=int)
-    block[order] = np.repeat(np.arange(len(start)), count)
-    place[order] = np.arange(len(owner)) - np.repeat(start, count)
+    i, j, values = coo.row[same], coo.col[same], coo.data[same]
     rows, columns, data, n_columns = [], [], [], 0
-    for size in np.unique(count):
-        chosen = np.flatnonzero(count == size)
-        index = np.full(len(count), -1)
-        index[chosen] = np.arange(len(chosen))
-        own = same & (index[block[coo.row]] >= 0)
-        dense = np.zeros((len(chosen), size, size))
-        np.add.at(dense, (index[block[coo.row[own]]], place[coo.row[own]], place[coo.col[own]]), coo.data[own])
-        # Slivers differ from whole pieces by many orders of magnitude: compare directions at unit diagonal.
-        jacobi = 1 / np.sqrt(np.einsum("bii->bi", dense))
-        values, vectors = np.linalg.eigh(dense * jacobi[:, :, None] * jacobi[:, None, :])
-        strong = values > RANK * values[:, -1:]
-        inverse_root = np.where(strong, 1 / np.sqrt(np.where(strong, values, 1.0)), 0.0)
-        P = jacobi[:, :, None] * vectors * inverse_root[:, None, :]
-        unknown = order[start[chosen][:, None] + np.arange(size)]
+    for unknown in blocks(owner):
+        index, place = np.full((2, len(owner)), -1)
+        index[unknown], place[unknown] = np.arange(len(unknown))[:, None], np.arange(unknown.shape[1])
+        own = index[i] >= 0
+        dense = np.zeros((*unknown.shape, unknown.shape[1]))
+        np.add.at(dense, (index[i[own]], place[i[own]], place[j[own]]), values[own])
+        P = inverse_roots(dense)
+        strong = P.any(axis=1)
         column = n_columns + np.cumsum(strong.ravel()).reshape(strong.shape) - 1
         keep = np.broadcast_to(strong[:, None, :], P.shape)
         rows.append(np.broadcast_to(unknown[:, :, None], P.shape)[keep])
@@ -94,3 +85,21 @@ def node_blocks(K: csc_array, owner) -> csr_array:
         n_columns += int(strong.sum())
     at = (np.concatenate(rows), np.concatenate(columns))
     return csr_array((np.concatenate(data), at), (len(owner), n_columns))
+
+
+def blocks(owner) -> Iterator[np.ndarray]:
+    """The unknowns (b, size) of the blocks of each size; owner (n,): the block of each unknown."""
+    order = np.argsort(owner, kind="stable")
+    _, start, count = np.unique(owner[order], return_index=True, return_counts=True)
+    for size in np.unique(count):
+        yield order[start[count == size][:, None] + np.arange(size)]
+
+
+def inverse_roots(K) -> np.ndarray:
+    """P (b, n, n) with P'KP = 1 for each of K (b, n, n); its columns without stiffness of their own are zero."""
+    # Slivers differ from whole pieces by many orders of magnitude: compare directions at unit diagonal.
+    jacobi = 1 / np.sqrt(np.einsum("bii->bi", K))
+    values, vectors = np.linalg.eigh(K * jacobi[:, :, None] * jacobi[:, None, :])
+    strong = values > RANK * values[:, -1:]
+    inverse_root = np.where(strong, 1 / np.sqrt(np.where(strong, values, 1.0)), 0.0)
+    return jacobi[:, :, None] * vectors * inverse_root[:, None, :]
