@@ -17,14 +17,21 @@ def assemble(n_rows: int, rows, gradients, lam, mu, tip_rows, tip_blocks) -> csc
     constants of the plane times its area. tip_rows (b, f): the functions of the parts that have their stiffness in
     tip_blocks (b, 2 f, 2 f) kPa, degree of freedom 2 a + i, each block symmetric; -1 beyond a part's own.
     """
-    first, uses = _uses(n_rows, rows, tip_rows)
-    start = _widths(n_rows, first, uses, rows, tip_rows)
-    n, total = 2 * n_rows, 4 * start[-1]
-    indptr, indices, data = np.empty(n + 1, np.int32), np.empty(total, np.int32), np.zeros(total)
-    _gather(first, uses, start, rows, gradients, lam, mu, tip_rows, tip_blocks, indptr, indices, data)
-    K = csc_array((data, indices, indptr), (n, n))
+    data, indices, indptr = _compressed(n_rows, rows, gradients, lam, mu, tip_rows, tip_blocks)
+    K = csc_array((data, indices, indptr), (2 * n_rows,) * 2)
     K.has_canonical_format = True
     return K
+
+
+@njit(cache=True)
+def _compressed(n_rows, rows, gradients, lam, mu, tip_rows, tip_blocks):
+    """Data, row indices and column starts of K."""
+    first, uses = _uses(n_rows, rows, tip_rows)
+    start = _widths(n_rows, first, uses, rows, tip_rows)
+    total = 4 * start[-1]
+    indptr, indices, data = np.empty(2 * n_rows + 1, np.int32), np.empty(total, np.int32), np.zeros(total)
+    _gather(first, uses, start, rows, gradients, lam, mu, tip_rows, tip_blocks, indptr, indices, data)
+    return data, indices, indptr
 
 
 @njit(cache=True)

@@ -142,8 +142,7 @@ def stiffness_of_parts(space: Space, material: Material | Tissue, chosen) -> csc
     branched = np.zeros(subcells.n_parts, dtype=bool)
     branched[space.branch_parts] = True
     plain = np.flatnonzero(chosen & ~branched)
-    cell = subcells.part_cell[plain]
-    mu, lam = material.lame_in(cell)
+    mu, lam = material.lame_in(subcells.part_cell)
     if material.stress_state == "stress":
         lam = 2 * lam * mu / (lam + 2 * mu)
     area = np.bincount(subcells.part, subcells.areas, subcells.n_parts)[plain]
@@ -152,10 +151,9 @@ def stiffness_of_parts(space: Space, material: Material | Tissue, chosen) -> csc
     if len(about_tip):
         points, weights, owner = tip_rule(subcells.corners[about_tip], subcells.tips)
         parts = subcells.part[about_tip][owner]
-        blocks, tip_rows = tip_blocks(space, points, weights, parts, material)
-    return assemble(
-        table.n_rows, table.dof[plain], space.mesh.gradients[cell], lam * area, mu * area, tip_rows, blocks
-    )
+        blocks, tip_rows = tip_blocks(space, points, weights, parts, lam, mu)
+    gradients = space.mesh.gradients[subcells.part_cell[plain]]
+    return assemble(table.n_rows, table.dof[plain], gradients, lam[plain] * area, mu[plain] * area, tip_rows, blocks)
 
 
 def plain_blocks(gradients, area, D) -> np.ndarray:

@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+from numba import njit
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array, orient
@@ -10,7 +11,8 @@ from xfemnav.geometry.mesh import frozen_array, orient
 #: A triangle is subdivided until it is no larger than this times its distance to the nearest tip.
 NEAR = 1.0
 NEEDLE = 0.3  # a triangle with less area than this, times half its longest edge squared, is a needle
-DEEPEST, MOST = 200, 100_000  # most times that triangles are divided, and most triangles left to divide
+DEEPEST, MOST = 200, 1_000_000  # most times that a triangle is divided, and most pieces of all
+SMOOTH = ((0.1, 3), (0.3, 4), (NEAR, 6))  # up to this ratio of size to distance, the collapsed rule of so many points
 ANGLE = np.pi / 3  # largest angle of a triangle at a tip; wider ones are bisected
 LOPSIDED = 4.0  # largest ratio of its two edges at the tip; beyond, the radius varies too fast along the far edge
 
@@ -30,16 +32,24 @@ def _unit_square(n_radial, n_angular):
     return np.repeat(s, n_angular), np.tile(t, n_radial), np.outer(ws, wt).ravel() / 4
 
 
+def _collapsed(n):
+    s, t, w = _unit_square(n, n)
+    return s, t, w * s
+
+
+def _polar(n_radial, n_angular):
+    s, t, w = _unit_square(n_radial, n_angular)
+    return s**2, t, w * 2 * s**3
+
+
 def collapsed_rule(corners, n) -> tuple[np.ndarray, np.ndarray]:
     """Points (k, n*n, 2) and weights (k, n*n) of Gauss's rule collapsed to the first corner; exact to degree 2n - 2."""
-    s, t, w = _unit_square(n, n)
-    return _from_apex(corners, s, t, w * s)
+    return _from_apex(corners, *_collapsed(n))
 
 
 def polar_rule(corners, n_radial=6, n_angular=10) -> tuple[np.ndarray, np.ndarray]:
     """The same with the first corner at a tip, radius = s^2: products of branch functions become polynomials in s."""
-    s, t, w = _unit_square(n_radial, n_angular)
-    return _from_apex(corners, s**2, t, w * 2 * s**3)
+    return _from_apex(corners, *_polar(n_radial, n_angular))
 
 
 def _from_apex(corners, rho, eta, w):
@@ -61,89 +71,143 @@ def tip_rule(corners, tips, fine: bool = False) -> tuple[np.ndarray, np.ndarray,
     -------
     points (q, 2) mm, weights (q,) mm^2, and the triangle (q,) that each belongs to.
     """
-    corners = np.asarray(corners, dtype=float)
-    owner = np.arange(len(corners))
-    more = 4 if fine else 0
-    points, weights, owners = [], [], []
-
-    def emit(rule, chosen, *size):
-        x, w = rule(corners[chosen], *size)
-        points.append(x.reshape(-1, 2))
-        weights.append(w.ravel())
-        owners.append(np.repeat(owner[chosen], w.shape[1]))
-
-    for _ in range(DEEPEST):
-        if not len(corners):
-            break
-        edge = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2)
-        diameter = edge.max(axis=1)
-        at_tip = np.linalg.norm(corners[:, :, None] - tips, axis=3).min(axis=2) <= 1e-9 * diameter[:, None]
-        n_tips = at_tip.sum(axis=1)
-        # Turn each triangle so that its tip is first.
-        turn = (np.argmax(at_tip, axis=1)[:, None] + np.arange(3)) % 3
-        corners = np.take_along_axis(corners, turn[:, :, None], axis=1)
-        a, b, c = corners.swapaxes(0, 1)
-        angle = np.arctan2(orient(a, b, c), np.einsum("ki,ki->k", b - a, c - a))
-        ratio = diameter / np.maximum(_distance(corners, tips), 1e-300)
-        leg = np.linalg.norm(np.stack([b - a, c - a]), axis=2)
-        sharp = (n_tips == 1) & (angle <= ANGLE) & (leg.max(axis=0) <= LOPSIDED * leg.min(axis=0))
-        emit(polar_rule, sharp, 6 + more, 10 + more)
-        done = sharp.copy()
-        for limit, n in ((0.1, 3), (0.3, 4), (NEAR, 6)):
-            smooth = (n_tips == 0) & (ratio <= limit) & ~done
-            emit(collapsed_rule, smooth, n + more)
-            done |= smooth
-        corners, owner, n_tips = corners[~done], owner[~done], n_tips[~done]
-        corners, owner = _split(corners, owner, n_tips)
-        if len(corners) > MOST:
-            break
-    if len(corners):
-        where = corners[0].mean(axis=0)
+    points, weights, owner, stuck = _graded(
+        np.ascontiguousarray(corners, float), np.asarray(tips, float), *_rules(4 if fine else 0)
+    )
+    if np.isfinite(stuck).all():
         raise XfemnavError(
             "E407",
-            f"integration about the tip near ({where[0]:.3f}, {where[1]:.3f}) mm did not end; move the tip a little, "
+            f"integration about the tip near ({stuck[0]:.3f}, {stuck[1]:.3f}) mm did not end; move the tip a little, "
             "and please report this with the cut's points.",
         )
-    return np.concatenate(points), np.concatenate(weights), np.concatenate(owners)
+    return points, weights, owner
 
 
-def _distance(corners, tips):
-    """Distance (k,) from each triangle to the nearest tip outside it."""
-    a, b = corners, corners[:, [1, 2, 0]]
-    along = b - a
-    t = np.einsum("kemi,kei->kem", tips - a[:, :, None], along) / np.einsum("kei,kei->ke", along, along)[:, :, None]
-    foot = a[:, :, None] + np.clip(t, 0, 1)[..., None] * along[:, :, None]
-    return np.linalg.norm(foot - tips, axis=3).min(axis=(1, 2))
+@cache
+def _rules(more):
+    """The polar rule and the collapsed ones, one after the other: where each begins, radii and far coordinates in 0..1,
+    weights; `more` points than usual a direction. And the ratio of size to distance up to which each will do."""
+    rules = [_polar(6 + more, 10 + more), *(_collapsed(n + more) for _, n in SMOOTH)]
+    start = np.cumsum([0, *(len(rule[0]) for rule in rules)])
+    return start, *(np.concatenate(column) for column in zip(*rules)), np.array([0.0, *(limit for limit, _ in SMOOTH)])
 
 
-def _split(corners, owner, n_tips):
-    """Bisect triangles with a tip (opposite the wide angle, or between two tips); halve needles, quarter the others."""
-    a, b, c = corners[n_tips > 0].swapaxes(0, 1)
-    two = n_tips[n_tips > 0] > 1
-    # With several tips the longest edge is halved, else the edge opposite the tip at the angle's bisector.
-    lb, lc = np.linalg.norm(b - a, axis=1)[:, None], np.linalg.norm(c - a, axis=1)[:, None]
-    bisector = (b * lc + c * lb) / (lb + lc)
-    one, other = [np.stack([a, b, bisector], 1)[~two]], [np.stack([a, bisector, c], 1)[~two]]
-    if two.any():
-        a, b, c = _longest_first(np.stack([a, b, c], 1)[two]).swapaxes(0, 1)
-        one.append(np.stack([a, (a + b) / 2, c], 1))
-        other.append(np.stack([(a + b) / 2, b, c], 1))
-    order = np.concatenate([owner[n_tips > 0][~two], owner[n_tips > 0][two]])
-    # A quarter of a needle is a needle; halves of its length lie ever farther from the tip.
-    away = _longest_first(corners[n_tips == 0])
-    a, b, c = away.swapaxes(0, 1)
-    needle = orient(a, b, c) < NEEDLE * np.einsum("ki,ki->k", b - a, b - a)
-    own = owner[n_tips == 0]
-    a, b, c = away[needle].swapaxes(0, 1)
-    halves = [np.stack([a, (a + b) / 2, c], 1), np.stack([(a + b) / 2, b, c], 1)]
-    a, b, c = away[~needle].swapaxes(0, 1)
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-    quarters = [np.stack(x, 1) for x in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    owners = [order, order, own[needle], own[needle], np.tile(own[~needle], 4)]
-    return np.concatenate([*one, *other, *halves, *quarters]), np.concatenate(owners)
+@njit(cache=True)
+def _graded(corners, tips, start, rho, eta, weight, limit):
+    """Points, weights and owners of the pieces of triangles; and a place where dividing does not end, or NaN."""
+    leaves, kinds, owners = np.empty((0, 3, 2)), np.empty(0, np.int64), np.empty(0, np.int64)
+    n, stuck = _divide(corners, tips, limit, leaves, kinds, owners)
+    leaves, kinds, owners = np.empty((n, 3, 2)), np.empty(n, np.int64), np.empty(n, np.int64)
+    _divide(corners, tips, limit, leaves, kinds, owners)
+    total = 0
+    for i in range(n):
+        total += start[kinds[i] + 1] - start[kinds[i]]
+    points, weights, owner = np.empty((total, 2)), np.empty(total), np.empty(total, np.int64)
+    q = 0
+    for i in range(n):
+        a, b, c = leaves[i]
+        turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        for r in range(start[kinds[i]], start[kinds[i] + 1]):
+            for j in range(2):
+                points[q, j] = a[j] + rho[r] * ((1 - eta[r]) * (b[j] - a[j]) + eta[r] * (c[j] - a[j]))
+            weights[q], owner[q] = weight[r] * turn, owners[i]
+            q += 1
+    return points, weights, owner, stuck
 
 
-def _longest_first(corners):
-    edge = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2)
-    turn = (np.argmax(edge, axis=1)[:, None] + np.arange(3)) % 3
-    return np.take_along_axis(corners, turn[:, :, None], axis=1)
+@njit(cache=True)
+def _divide(corners, tips, limit, leaves, kinds, owners):
+    """Divide each triangle until its pieces have a rule. Their number, and a place where it does not end, or NaN.
+
+    Triangles with a tip are bisected, opposite the tip at its angle's bisector, or between two tips; of the others
+    needles are halved, as a quarter of a needle is a needle and halves of its length lie ever farther from the tip, and
+    the rest are quartered. Fills as many `leaves` (k, 3, 2), their rules and owners, as there is room for.
+    """
+    stack, depth, edge = np.empty((4 * DEEPEST, 6)), np.empty(4 * DEEPEST, np.int64), np.empty(3)
+    n, seen = 0, 0
+    for k in range(len(corners)):
+        top = _push(stack, depth, 0, 0, corners[k, 0], corners[k, 1], corners[k, 2])
+        while top > 0:
+            top -= 1
+            x, deep = stack[top].copy().reshape(3, 2), depth[top]
+            seen += 1
+            if deep == DEEPEST or seen > MOST:
+                return 0, ((x[0, 0] + x[1, 0] + x[2, 0]) / 3, (x[0, 1] + x[1, 1] + x[2, 1]) / 3)
+            for a in range(3):
+                edge[a] = np.hypot(x[(a + 1) % 3, 0] - x[a, 0], x[(a + 1) % 3, 1] - x[a, 1])
+            size, n_tips, apex = max(edge[0], edge[1], edge[2]), 0, 0
+            for a in range(2, -1, -1):
+                for t in range(len(tips)):
+                    if np.hypot(x[a, 0] - tips[t, 0], x[a, 1] - tips[t, 1]) <= 1e-9 * size:
+                        n_tips, apex = n_tips + 1, a
+                        break
+            if n_tips != 1:
+                apex = 0 if edge[0] == size else 1 if edge[1] == size else 2
+            a, b, c = _point(x, apex), _point(x, (apex + 1) % 3), _point(x, (apex + 2) % 3)
+            one, two = edge[apex], edge[(apex + 2) % 3]
+            turn = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+            kind = -1
+            if n_tips == 1:
+                angle = np.arctan2(turn, (b[0] - a[0]) * (c[0] - a[0]) + (b[1] - a[1]) * (c[1] - a[1]))
+                if angle <= ANGLE and max(one, two) <= LOPSIDED * min(one, two):
+                    kind = 0
+            elif n_tips == 0:
+                ratio = size / max(_distance(x, tips), 1e-300)
+                for r in range(len(limit) - 1, 0, -1):
+                    if ratio <= limit[r]:
+                        kind = r
+            if kind >= 0:
+                if n < len(leaves):
+                    for i in range(3):
+                        # The polar rule begins at the tip, the others where the triangle does.
+                        from_corner = (apex + i) % 3 if kind == 0 else i
+                        leaves[n, i, 0], leaves[n, i, 1] = x[from_corner, 0], x[from_corner, 1]
+                    kinds[n], owners[n] = kind, k
+                n += 1
+            elif n_tips == 1:
+                far = _between(b, c, one / (one + two))
+                top = _push(stack, depth, top, deep + 1, a, b, far)
+                top = _push(stack, depth, top, deep + 1, a, far, c)
+            elif n_tips > 1 or turn < NEEDLE * size**2:
+                ab = _between(a, b, 0.5)
+                top = _push(stack, depth, top, deep + 1, a, ab, c)
+                top = _push(stack, depth, top, deep + 1, ab, b, c)
+            else:
+                ab, bc, ca = _between(a, b, 0.5), _between(b, c, 0.5), _between(c, a, 0.5)
+                top = _push(stack, depth, top, deep + 1, a, ab, ca)
+                top = _push(stack, depth, top, deep + 1, ab, b, bc)
+                top = _push(stack, depth, top, deep + 1, ca, bc, c)
+                top = _push(stack, depth, top, deep + 1, ab, bc, ca)
+    return n, (np.nan, np.nan)
+
+
+@njit(cache=True)
+def _point(x, a):
+    return x[a, 0], x[a, 1]
+
+
+@njit(cache=True)
+def _between(a, b, t):
+    return (1 - t) * a[0] + t * b[0], (1 - t) * a[1] + t * b[1]
+
+
+@njit(cache=True)
+def _push(stack, depth, top, deep, a, b, c):
+    for j in range(2):
+        stack[top, j], stack[top, 2 + j], stack[top, 4 + j] = a[j], b[j], c[j]
+    depth[top] = deep
+    return top + 1
+
+
+@njit(cache=True)
+def _distance(x, tips):
+    """Distance from a triangle to the nearest tip outside it."""
+    nearest = np.inf
+    for a in range(3):
+        b = (a + 1) % 3
+        u, v = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1]
+        for k in range(len(tips)):
+            p, q = tips[k, 0] - x[a, 0], tips[k, 1] - x[a, 1]
+            t = min(max((p * u + q * v) / (u * u + v * v), 0.0), 1.0)
+            nearest = min(nearest, np.hypot(p - t * u, q - t * v))
+    return nearest

@@ -1,7 +1,7 @@
 """Stiffness of the parts about a tip, where the strains of branch functions are integrated point by point.
 
-At each quadrature point the gradients g of all functions of the part make the moments M += w g g'; the material enters
-once a part: K_(a i)(b j) = sum_kl C_ikjl M_(a k)(b l), C the stiffness as a tensor.
+The gradients g of all functions of a part at its quadrature points make the moments M = sum_q w g g'; Lame's constants
+enter once a part: K_(a i)(b j) = lam M_(a i)(b j) + mu (M_(a j)(b i) + M_(a k)(b k) where i = j).
 """
 
 import numpy as np
@@ -9,13 +9,12 @@ from numba import njit
 
 from xfemnav.mechanics.space import Space
 
-#: Row of the strain (xx, yy, 2 xy) that the derivative of component i along axis k is in.
-VOIGT = np.array([[0, 2], [2, 1]])
 
-
-def tip_blocks(space: Space, points, weights, parts, material) -> tuple[np.ndarray, np.ndarray]:
+def tip_blocks(space: Space, points, weights, parts, lam, mu) -> tuple[np.ndarray, np.ndarray]:
     """Stiffness blocks (k, 2 f, 2 f) kPa and their basis functions (k, f), -1 beyond a part's own, for the k parts with
     branch functions among `parts` (q,), which the quadrature points (q, 2) mm with weights (q,) mm^2 lie in.
+
+    lam, mu (p,) kPa: Lame's constants of the plane in every part.
     """
     table, sub = space.enrichment, space.subcells
     order = np.argsort(parts, kind="stable")
@@ -28,15 +27,19 @@ def tip_blocks(space: Space, points, weights, parts, material) -> tuple[np.ndarr
     tip = table.tip[row]
     cell = sub.part_cell[own]
     most = 3 + 4 * int(count.max(initial=0))
-    M = np.zeros((len(own), 2 * most, 2 * most))
-    _moments(
+    g = np.zeros((len(order), 2 * most))
+    _weighted_gradients(
         np.ascontiguousarray(points[order]), weights[order], start,
         space.mesh.gradients[cell], space.mesh.points[space.mesh.cells[cell, 0]],
         np.concatenate([[0], np.cumsum(count)]), table.entry_node[entry], table.entry_angle[entry],
-        table.entry_ramp[entry], sub.tips[tip], sub.tip_travel[tip], table.shift[row[:, None] + np.arange(4)], M,
+        table.entry_ramp[entry], tip, sub.tips, sub.tip_travel, table.shift[row[:, None] + np.arange(4)], g,
     )
-    C = material.stiffness_in(cell)[:, VOIGT][..., VOIGT]
-    K = np.einsum("cakbl,cikjl->caibj", M.reshape(len(own), most, 2, most, 2), C, optimize=True)
+    M = np.array([each.T @ each for each in np.split(g, start[1:-1])]).reshape(-1, most, 2, most, 2)
+    K = lam[own, None, None, None, None] * M
+    both = mu[own, None, None, None, None] * M
+    K += both.swapaxes(2, 4)
+    for i in (0, 1):
+        K[:, :, i, :, i] += both[:, :, 0, :, 0] + both[:, :, 1, :, 1]
     K = K.reshape(len(own), 2 * most, 2 * most)
     rows = np.full((len(own), most), -1)
     rows[:, :3] = table.dof[own]
@@ -46,31 +49,36 @@ def tip_blocks(space: Space, points, weights, parts, material) -> tuple[np.ndarr
 
 
 @njit(cache=True)
-def _moments(points, weights, start, hat_gradient, corner, first, node, angle, ramp, tip, travel, shift, M):
-    """Add w g g' at all points to M (k, 2 f, 2 f); entry 2 a + k of g is the derivative of function a along k."""
-    g = np.empty(M.shape[1])
-    hats, f, by_r, by_theta = np.empty(3), np.empty(4), np.empty(4), np.empty(4)
+def _weighted_gradients(
+    points, weights, start, hat_gradient, corner, first, node, angle, ramp, tip, tips, travels, shift, g
+):
+    """Fill g (q, 2 f): sqrt(w) times the derivative of function a along axis k at 2 a + k."""
+    hats, f, ahead, left = np.empty(3), np.empty(4), np.empty(4), np.empty(4)
     for c in range(len(start) - 1):
-        n = 2 * (3 + 4 * (first[c + 1] - first[c]))
         for q in range(start[c], start[c + 1]):
+            root_w = np.sqrt(weights[q])
             for a in range(3):
                 hats[a] = 1.0 if a == 0 else 0.0
                 for k in range(2):
                     hats[a] += hat_gradient[c, a, k] * (points[q, k] - corner[c, k])
-                    g[2 * a + k] = hat_gradient[c, a, k]
+                    g[q, 2 * a + k] = root_w * hat_gradient[c, a, k]
             at = 6
             for e in range(first[c], first[c + 1]):
-                x, y = points[q, 0] - tip[e, 0], points[q, 1] - tip[e, 1]
-                tx, ty = travel[e]
-                along, across = x * tx + y * ty, tx * y - ty * x
-                r = max(np.hypot(along, across), 1e-300)
-                raw = np.arctan2(across, along)
-                theta = angle[e] + (raw - angle[e] + np.pi) % (2 * np.pi) - np.pi
-                root = np.sqrt(r)
-                s, co, sin, cos = np.sin(theta / 2), np.cos(theta / 2), np.sin(theta), np.cos(theta)
-                f[0], f[1], f[2], f[3] = s, co, s * sin, co * sin
-                by_theta[0], by_theta[1] = co / 2, -s / 2
-                by_theta[2], by_theta[3] = co * sin / 2 + s * cos, -s * sin / 2 + co * cos
+                tx, ty = travels[tip[e]]
+                if e == first[c] or tip[e] != tip[e - 1]:
+                    x, y = points[q, 0] - tips[tip[e], 0], points[q, 1] - tips[tip[e], 1]
+                    along, across = x * tx + y * ty, tx * y - ty * x
+                    r = max(np.hypot(along, across), 1e-300)
+                    raw = np.arctan2(across, along)
+                    theta = angle[e] + (raw - angle[e] + np.pi) % (2 * np.pi) - np.pi
+                    root = np.sqrt(r)
+                    s, co = np.sin(theta / 2), np.cos(theta / 2)
+                    sin, cos = 2 * s * co, co**2 - s**2
+                    f[0], f[1], f[2], f[3] = s, co, s * sin, co * sin
+                    by_theta = co / 2, -s / 2, co * sin / 2 + s * cos, -s * sin / 2 + co * cos
+                    for m in range(4):
+                        ahead[m] = (cos * f[m] / 2 - sin * by_theta[m]) / root
+                        left[m] = (sin * f[m] / 2 + cos * by_theta[m]) / root
                 weight, wx, wy = 0.0, 0.0, 0.0
                 for a in range(3):
                     weight += ramp[e, a] * hats[a]
@@ -80,17 +88,7 @@ def _moments(points, weights, start, hat_gradient, corner, first, node, angle, r
                 wx, wy = hats[i] * wx + hat_gradient[c, i, 0] * weight, hats[i] * wy + hat_gradient[c, i, 1] * weight
                 weight *= hats[i]
                 for m in range(4):
-                    by_r[m] = f[m] / 2
-                    ahead = (cos * by_r[m] - sin * by_theta[m]) / root
-                    left = (sin * by_r[m] + cos * by_theta[m]) / root
                     value = root * f[m] - shift[e, m]
-                    g[at] = weight * (ahead * tx - left * ty) + value * wx
-                    g[at + 1] = weight * (ahead * ty + left * tx) + value * wy
+                    g[q, at] = root_w * (weight * (ahead[m] * tx - left[m] * ty) + value * wx)
+                    g[q, at + 1] = root_w * (weight * (ahead[m] * ty + left[m] * tx) + value * wy)
                     at += 2
-            for a in range(n):
-                wa = weights[q] * g[a]
-                for b in range(a + 1):
-                    M[c, a, b] += wa * g[b]
-        for a in range(n):
-            for b in range(a):
-                M[c, b, a] = M[c, a, b]
