@@ -180,7 +180,8 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         if dry_run:
             return _plan(job.plan(config, options), teller)
         with _signals_raise():
-            record = job.run(config, options, job.Listener(teller.started, teller.finished, teller.waiting))
+            told = job.Listener(teller.started, teller.finished, teller.waiting, teller.compiling)
+            record = job.run(config, options, told)
     except (XfemnavError, job.Interrupted) as error:
         if as_json:
             teller.json({"schema": job.SCHEMA} | job.failure(error))

@@ -23,6 +23,7 @@ class Teller:
     def __init__(self, *, as_json: bool, quiet: bool, verbose: int):
         self.as_json, self.quiet, self.verbose = as_json, quiet, verbose
         self.timer = self.spinner = None
+        self.compiles = False
 
     def say(self, text: str) -> None:
         """One line of human text."""
@@ -62,6 +63,12 @@ class Teller:
     def waiting(self) -> None:
         """Another run holds the output folder."""
         complain("waiting for another run to leave the output folder ...")
+
+    def compiling(self) -> None:
+        """A stage is computed in a run that found no compiled kernels."""
+        if not self.compiles and not self.quiet:
+            complain("compiling the numerical kernels, once for this version: half a minute or so ...")
+        self.compiles = True
 
     def warnings(self, record: dict) -> None:
         """Every warning of a run, on stderr."""

@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 import shapely
 from scipy.sparse import csr_array
-from scipy.sparse.linalg import splu
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.locate import Buckets, bucket
@@ -23,6 +22,7 @@ from xfemnav.geometry.subcells import Subcells, embed
 from xfemnav.mechanics.constraints import Constraints, eliminate
 from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
 from xfemnav.mechanics.enrichment import enrich
+from xfemnav.mechanics.factor import NotPositiveDefinite, factor
 from xfemnav.mechanics.outline import Skull, skull_conditions
 from xfemnav.mechanics.space import Space
 
@@ -68,15 +68,15 @@ class Condensation:
         shared[(2 * self.shared_nodes[:, None] + np.arange(2)).ravel()] = 1.0
         _, T = eliminate(chosen(outline.constraints, abs(outline.constraints.C) @ shared == 0))
         A = (T.T @ K @ T).tocsc()
-        lu = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        pivots = lu.U.diagonal()
-        if not pivots.min() > 1e-10 * pivots.max():
+        try:
+            found = factor(A, semidefinite=True)
+        except NotPositiveDefinite:
             raise XfemnavError(
                 "E406",
                 "nothing holds the organ beyond the craniotomies that the corridor allows, so it cannot be condensed; "
                 "use a smaller craniotomy or reach, or a run of its own for each cut.",
-            )
-        return lu, csr_array(T), csr_array(T.T)
+            ) from None
+        return found, csr_array(T), csr_array(T.T)
 
     @cached_property
     def held(self) -> np.ndarray:
@@ -114,9 +114,9 @@ class Condensation:
 
     def solve(self, forces) -> np.ndarray:
         """Displacements (n_nodes, 2, k) mm of the uncut organ under nodal forces (n_nodes, 2, k) mN per mm."""
-        lu, T, back = self._system
+        found, T, back = self._system
         n, _, k = forces.shape
-        return np.asarray(T @ lu.solve(back @ forces.reshape(2 * n, k))).reshape(n, 2, k)
+        return np.asarray(T @ found.solve(back @ forces.reshape(2 * n, k))).reshape(n, 2, k)
 
     def reaches(self, mouths) -> bool:
         """Whether skull conditions about these mouths (m, 2) mm differ on the open facets alone."""

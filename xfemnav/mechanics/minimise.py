@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, lu_factor, lu_solve
 from scipy.sparse import csr_array
-from scipy.sparse.linalg import splu
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.mechanics.factor import NotPositiveDefinite, factor
 
 #: Largest relative residual of a solution that is given out.
 RESIDUAL_LIMIT = 1e-8
@@ -91,17 +91,21 @@ class Minimum:
     mean_force: np.ndarray
 
 
-def minimise(K, load, U0, T, contacts: Contacts | None = None, means: Means | None = None) -> Minimum:
+def minimise(
+    K, load, U0, T, contacts: Contacts | None = None, means: Means | None = None, semidefinite: bool = False
+) -> Minimum:
     """The minimum over U = U0 + T q; K (n_dof, n_dof) kPa, load (n_dof,), U0 and T from `eliminate`.
+
+    `semidefinite` says that K is a sum of squares, so that only what nothing holds can be wrong with it.
 
     Raises XfemnavError E405 when what is held pushes surfaces through each other; E407 when the energy has no minimum,
     when the residual stays above 1e-8, or when no forces were found that keep the gaps open.
     """
     A = (T.T @ K @ T).tocsc()
     if means is None:
-        lu = _factored(A)
+        lu = _factored(A, semidefinite)
     else:
-        lu = _Held(A, csr_array(means.C @ T).toarray(), csr_array(T.tocsr()[means.pins]))
+        lu = _Held(A, csr_array(means.C @ T).toarray(), csr_array(T.tocsr()[means.pins]), semidefinite)
         U0 = U0 + T @ lu.reaching(-(means.C @ U0))
     b = T.T @ (load - K @ U0)
     q, force = _refined(lu, A, b), np.zeros(0)
@@ -131,15 +135,15 @@ def without_means(forces, T, means: Means | None):
     return forces - C.T @ taken, -taken
 
 
-def _factored(A):
-    lu = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    if not (lu.U.diagonal() > 0).all():
+def _factored(A, semidefinite):
+    try:
+        return factor(A, semidefinite)
+    except NotPositiveDefinite as error:
         raise XfemnavError(
             "E407",
-            "the linear system is not positive definite, so its solution is no minimum of energy; "
+            f"the linear system is not positive definite ({error}), so its solution is no minimum of energy; "
             "this is a bug, please report it with the run's parameters.",
-        )
-    return lu
+        ) from None
 
 
 class _Held:
@@ -149,10 +153,10 @@ class _Held:
     P q = z: a small dense problem for z and mu.
     """
 
-    def __init__(self, A, C, P):
+    def __init__(self, A, C, P, semidefinite):
         size = np.sqrt(P.multiply(P).sum(axis=1))
         self.P = csr_array(P.multiply((np.sqrt(A.diagonal().max()) / size)[:, None]))
-        self.C, self.lu = C, _factored((A + self.P.T @ self.P).tocsc())
+        self.C, self.lu = C, _factored((A + self.P.T @ self.P).tocsc(), semidefinite)
         rows = np.concatenate([self.P.toarray(), C])
         self.moved = self.lu.solve(rows.T.copy())
         small = np.concatenate([self.P @ self.moved, C @ self.moved])

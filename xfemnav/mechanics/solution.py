@@ -140,7 +140,7 @@ def solve(problem: Problem) -> Solution:
     constraints = problem.constraints
     U0, T = eliminate(replace(constraints, C=constraints.C @ basis))
     U0, T = basis @ U0, (basis @ T).tocsc()
-    linear = minimise(K, problem.load, U0, T, problem.contacts, problem.means)
+    linear = minimise(K, problem.load, U0, T, problem.contacts, problem.means, problem.lip_constraint != "nitsche")
     if problem.model == "linear":
         tissue = elastic @ linear.U
         energy, forces = float(linear.U @ tissue / 2), (linear.force, linear.mean_force)

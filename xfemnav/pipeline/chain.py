@@ -126,7 +126,7 @@ class Chain:
     """One run's way through the stages.
 
     `force_from` names the first stage that is computed again whatever the cache holds (None: none).
-    `started(stage)` and `finished(done)` are told of each stage.
+    `started(stage)` and `finished(done)` are told of each stage, `computing()` of one that is not in the cache.
     """
 
     config: Config
@@ -134,6 +134,7 @@ class Chain:
     force_from: str | None = None
     started: Callable[[str], None] = lambda stage: None
     finished: Callable[[Done], None] = lambda done: None
+    computing: Callable[[], None] = lambda: None
 
     def __post_init__(self):
         self.inputs = Inputs(self.config)
@@ -226,6 +227,7 @@ class Chain:
 
     def _stage(self, stage: Stage, params, force: bool) -> Done:
         def build(folder: Path) -> None:
+            self.computing()
             with recorded() as caught:
                 value = stage.code.compute(params, self.inputs)
                 facts = stage.code.facts(value, self.inputs)

@@ -13,7 +13,7 @@ from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
-from xfemnav.pipeline.kernels import settle_kernel_cache
+from xfemnav.pipeline.kernels import first_use, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 from xfemnav.pipeline.stage import INVERTED_LIMIT_MM2
 
@@ -45,6 +45,7 @@ class Listener:
     started: Callable[[str], None] = lambda stage: None
     finished: Callable[[Done], None] = lambda done: None
     waiting: Callable[[], None] = lambda: None
+    compiling: Callable[[], None] = lambda: None
 
 
 def default_output(image: Path) -> Path:
@@ -83,9 +84,11 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
     with (output_folder(output, config.image, listener.waiting) as folder,
           opened_cache(options.cache) as (cache, warned)):
         folder.refuse_overwriting([*config.files.values(), *config.also_read], _roles(config))
-        chain = Chain(config, cache, options.force_from, listener.started, listener.finished)
+        passing = settle_kernel_cache()
+        computing = listener.compiling if first_use() else Listener.compiling
+        chain = Chain(config, cache, options.force_from, listener.started, listener.finished, computing)
         chain.warned += warned
-        if passing := settle_kernel_cache():
+        if passing:
             chain.warned.append(Warned("W602", passing))
         record = {"schema": SCHEMA, "version": __version__, "argv": list(options.argv), "parameters": config.parameters}
         try:

@@ -8,7 +8,7 @@ import hashlib
 import json
 from dataclasses import fields, is_dataclass
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from xfemnav.pipeline.layers import reach
@@ -68,8 +68,14 @@ def source_digest(*sources: Path, root: Path = PACKAGE) -> str:
 
 @cache
 def library_versions(names: tuple[str, ...]) -> dict[str, str]:
-    """Installed versions of `names`, read from their metadata: nothing is imported."""
-    return {name: version(name) for name in names}
+    """Installed versions of `names`, None of one that is not there. Read from metadata: nothing is imported."""
+    found = {}
+    for name in names:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = None
+    return found
 
 
 def stage_key(stage: str, layers: tuple[str, ...], libraries: tuple[str, ...], params, inputs: dict[str, str]) -> str:

@@ -13,6 +13,7 @@ from xfemnav.pipeline.stage import Stage
 
 IMAGING = ("numpy", "scipy", "scikit-image", "SimpleITK", "nibabel", "shapely", "numba")
 ALL = (*IMAGING, "meshio")
+CHOLMOD = "scikit-sparse"  # solves where it is installed
 PHYSICS = ("imaging", "mechanics")
 
 STAGES: dict[str, Stage] = {stage.name: stage for stage in (
@@ -22,7 +23,7 @@ STAGES: dict[str, Stage] = {stage.name: stage for stage in (
           lambda f: f"{f['mesh']['n_nodes']} nodes, quality {f['mesh']['min_quality']:.2f}"),
     Stage("constrain", PHYSICS, IMAGING, ("segment", "mesh"), ("labels", "resection"), stage_constrain,
           lambda f: "{n_dof} unknowns, {added_dof} for the cut".format(**f["enrichment"])),
-    Stage("solve", PHYSICS, ALL, ("segment", "constrain"), (), stage_solve,
+    Stage("solve", PHYSICS, (*ALL, CHOLMOD), ("segment", "constrain"), (), stage_solve,
           lambda f: "moves up to {max_displacement_mm:.2f} mm; {nnz} matrix entries, {added_nnz} for the cut, "
                     "{memory_kB:.0f} kB".format(**f["checks"], **f["matrix"])),
     Stage("warp", PHYSICS, IMAGING, ("segment", "mesh", "constrain", "solve"), (), stage_warp,
