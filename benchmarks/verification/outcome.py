@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csc_array
-from scipy.sparse.linalg import LinearOperator, cg, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, cg, eigsh
 
 from xfemnav.mechanics.constraints import eliminate
 from xfemnav.mechanics.elasticity import stiffness, strain_matrices
+from xfemnav.mechanics.factor import factor
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.solution import Solution, scaled_basis
@@ -61,8 +62,7 @@ def condition_number(A) -> float:
     """Largest over smallest eigenvalue of a symmetric positive definite matrix, to about a per cent."""
     v0 = np.random.default_rng(0).normal(size=A.shape[0])
     largest = eigsh(A, k=1, which="LA", tol=1e-3, v0=v0, return_eigenvectors=False)[0]
-    lu = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    inverse = LinearOperator(A.shape, lu.solve)
+    inverse = LinearOperator(A.shape, factor(A, semidefinite=True).solve)
     return float(largest * eigsh(inverse, k=1, which="LA", tol=1e-3, v0=v0, return_eigenvectors=False)[0])
 
 
