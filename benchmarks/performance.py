@@ -2,7 +2,7 @@
 
     python -m benchmarks.performance [name ...] [--page]
 
-Names: mesh assembly solve accuracy_time warp runs; all without a name. Each runs in a process of its own, so that
+Names: mesh assembly solve accuracy_time warp runs batch; all without a name. Each runs in a process of its own, so that
 none warms another's memory; results are kept in benchmarks/results, and the page is written from all of them.
 """
 
@@ -25,6 +25,7 @@ TITLES = {
     "accuracy_time": "Accuracy against seconds for a changed cut",
     "warp": "Warping",
     "runs": "Whole runs",
+    "batch": "A batch",
 }
 LIBRARIES = ("numpy", "scipy", "numba", "SimpleITK", "nibabel", "matplotlib", "shapely", "gmsh", "scikit-fem",
              "scikit-sparse", "distmeshpy")

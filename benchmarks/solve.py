@@ -6,7 +6,7 @@ On the retraction disc (problem p of docs/accuracy.md), uniform meshes, topologi
 where scikit-sparse is installed.
 """
 
-from benchmarks.timing import exponent, interleaved, keep, mark, table  # isort: skip (sets the number of threads)
+from benchmarks.timing import exponent, interleaved, keep, mark, peak_mb, table  # isort: skip (sets the number of threads)
 
 import importlib.util
 import resource
@@ -66,8 +66,8 @@ def factorisations(problems) -> tuple[str, list[dict]]:
 
 
 def phases(problems) -> tuple[str, list[dict]]:
-    """Seconds of each phase from a mesh and a cut to displacements, and their share of the whole."""
-    rows = []
+    """Seconds and memory of each phase from a mesh and a cut to displacements."""
+    rows, grown = [], []
     for target, problem in problems.items():
         mesh, cuts, material = problem.mesh, problem.cuts, problem.material
         sub = embed(mesh, cuts)
@@ -78,7 +78,7 @@ def phases(problems) -> tuple[str, list[dict]]:
         basis = scaled_basis(problem, K)
         A, b = reduced_system(problem)
         factor = SUPERLU(A)
-        times = interleaved({
+        parts = {
             "find the cut cells": lambda mesh=mesh, cuts=cuts: embed(mesh, cuts),
             "basis functions (H, F)": lambda mesh=mesh, sub=sub: enrich(mesh, sub),
             "stiffness of enriched parts": lambda s=space, m=material, r=rich: stiffness_of_parts(s, m, r),
@@ -87,10 +87,13 @@ def phases(problems) -> tuple[str, list[dict]]:
                 scaled_basis(p, K), eliminate(replace(p.constraints, C=p.constraints.C @ B))),
             "factor": lambda A=A: SUPERLU(A),
             "solve": lambda f=factor, b=b: f.solve(b),
-        }, TARGETS[target])
-        plain = len(mesh.points) * 2
-        rows.append((len(mesh.points), space.enrichment.n_dof - plain, *times.values()))
-    return table(("nodes", "unknowns added", *times), rows), []
+        }
+        first = len(mesh.points), space.enrichment.n_dof - 2 * len(mesh.points)
+        rows.append((*first, *interleaved(parts, TARGETS[target]).values()))
+        grown.append((*first, *map(peak_mb, parts.values())))
+    head = "nodes", "unknowns added", *parts
+    return (f"{table(head, rows)}\nMemory: the MB by which each phase makes the process grow at most, what it leaves "
+            f"included.\n\n{table(head, grown)}"), []
 
 
 def cuts(problems) -> tuple[str, list[dict]]:
@@ -117,7 +120,8 @@ def main() -> None:
     """Print the three tables."""
     problems = {n: retraction.posed(retraction.uniform(n), HELD, "topological") for n in TARGETS}
     text, marks = [], []
-    for title, part in (("Factor and solve", factorisations), ("Phases, seconds", phases), ("A changed cut", cuts)):
+    parts = {"Factor and solve": factorisations, "Phases: seconds and memory": phases, "A changed cut": cuts}
+    for title, part in parts.items():
         words, found = part(problems)
         text.append(f"### {title}\n\n{words}")
         marks += found

@@ -4,6 +4,7 @@ Seconds are those that the process had a processor for, on one thread: on a shar
 the neighbours. What is compared is run in turns in one process, and the medians are given.
 """
 
+import ctypes
 import json
 import os
 import sys
@@ -31,6 +32,33 @@ def interleaved(runs: dict[str, Callable], repeats: int = 5) -> dict[str, float]
             run()
             seconds[name].append(process_time() - start)
     return {name: median(times) for name, times in seconds.items()}
+
+
+def peak_mb(run: Callable) -> float:
+    """MB by which a call makes the process grow at most, by the system's account: measured in a copy of the process."""
+    receiver, sender = os.pipe()
+    child = os.fork()
+    if child:
+        os.close(sender)
+        with os.fdopen(receiver) as told:
+            found = told.read()
+        os.waitpid(child, 0)
+        return float(found)
+    try:
+        ctypes.CDLL(None).malloc_trim(0)  # what is free already would be used again, and not be seen
+        Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+        before = _status("VmRSS")
+        result = run()
+        os.write(sender, f"{(_status('VmHWM') - before) / 1024}".encode())
+        del result
+    finally:
+        os._exit(0)
+
+
+def _status(name) -> int:
+    """A line of /proc/self/status, kB."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith(name)).split()[1])
 
 
 def exponent(sizes, seconds) -> float:
