@@ -36,7 +36,7 @@ def displaced(problem: Problem) -> np.ndarray:
     K = (stiffness(problem.space, problem.material) + problem.springs).tocsc()
     basis = scaled_basis(problem, K)
     U0, T = eliminate(replace(problem.constraints, C=problem.constraints.C @ basis))
-    found = minimise(K, problem.load, basis @ U0, (basis @ T).tocsc(), problem.contacts)
+    found = minimise(K, problem.load, basis @ U0, (basis @ T).tocsc(), problem.contacts, semidefinite=True)
     return found.U.reshape(-1, 2)
 
 

@@ -16,6 +16,7 @@ from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.grading import data_ends
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.sizing import SizeField
+from xfemnav.mechanics.condensation import Condensation, condense
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.outline import Skull
@@ -66,15 +67,26 @@ def _data_ends(held):
     return data_ends(disc(), (Cut(PATH),), ((0, 0.0, held),), FREE)
 
 
+def drawn(mesh: Mesh, held: float, path=PATH, lift=LIFT) -> tuple[Cut, tuple[Retraction, ...]]:
+    """The cut in a mesh, and what holds its lips."""
+    beyond = np.vstack([path[0] - 0.1 * (path[-1] - path[0]), path[1:]])
+    cut = place_cut(beyond, mesh.points[mesh.boundary_loops[0]])
+    lift = np.asarray(lift, float)
+    return cut, tuple(Retraction(0, side, displacement_mm=tuple(side * lift), blade=(0.0, held)) for side in (1, -1))
+
+
+def condensed(mesh: Mesh) -> Condensation:
+    """The disc without the cut, condensed for cuts about it."""
+    material = Material(BRAIN.young / 1000, BRAIN.poisson)
+    return condense(mesh, material, Skull("fixed", FREE, 0.0), PATH, mouths=PATH[:1])
+
+
 def posed(
     mesh: Mesh, held: float, enrichment: str, lip_constraint="mortar", material=None, ramp_mm=0.0, path=PATH, lift=LIFT
 ) -> Problem:
     """Problem p on a mesh, in kPa; both lips held from the mouth to the fraction `held` of the cut."""
     material = material or Material(BRAIN.young / 1000, BRAIN.poisson)
-    drawn = np.vstack([path[0] - 0.1 * (path[-1] - path[0]), path[1:]])
-    cut = place_cut(drawn, mesh.points[mesh.boundary_loops[0]])
-    lift = np.asarray(lift, float)
-    lips = tuple(Retraction(0, side, displacement_mm=tuple(side * lift), blade=(0.0, held)) for side in (1, -1))
+    cut, lips = drawn(mesh, held, path, lift)
     skull = Skull("fixed", FREE, ramp_mm)
     held = {"tip_enrichment": enrichment, "lip_constraint": lip_constraint}
     return pose(mesh, (cut,), material, skull, lips, lips="free", **held)
