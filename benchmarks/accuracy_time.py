@@ -37,7 +37,7 @@ from xfemnav.mechanics.lip_modes import lip_modes
 from xfemnav.mechanics.live_motion import LiveMotion, Soup
 
 SIZES = (500, 2_000, 8_000, 32_000)
-REPEATS = 3
+REPEATS = 5
 DEBIAN = "/usr/bin/python3"
 STEEL = Tissue(1.0, 0.3)
 WIDTH, LENGTH, CRACK, FACTOR = 7.0, 16.0, 3.5, 2.82468

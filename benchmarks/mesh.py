@@ -24,7 +24,7 @@ from xfemnav.geometry.outline_nodes import outline_nodes, rail_nodes
 from xfemnav.imaging.outline import outline_of
 
 #: Number of nodes, and repetitions.
-TARGETS = {1_000: 7, 5_000: 7, 20_000: 5, 80_000: 3}
+TARGETS = {1_000: 7, 5_000: 7, 20_000: 5, 80_000: 5}
 
 
 def brain_outline() -> np.ndarray:
