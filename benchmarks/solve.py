@@ -99,7 +99,7 @@ def phases(problems) -> tuple[str, list[dict]]:
 def cuts(problems) -> tuple[str, list[dict]]:
     """A changed cut: xfemnav on its mesh, beside gmsh + scikit-fem + splu, linear triangles of the same size."""
     rows, sizes, seconds = [], [], []
-    for target, problem in problems.items():
+    for problem in problems.values():
         mesh = problem.mesh
         h = float(np.median(mesh.sizes))
         times = interleaved({

@@ -221,6 +221,12 @@ def test_a_retractor_does_not_pull_on_a_removed_piece():
         pose(MESH, (CORNER,), BRAIN, Skull("fixed", 9.0, 1.0), (pull,), loose="remove")
 
 
+def test_the_largest_piece_is_never_removed():
+    held = Retraction(0, -1, normal_mm=1.0, blade=(0.0, 1.0))  # the corner, and nothing else
+    with pytest.raises(XfemnavError, match=r"E306 .* the largest piece is not removed"):
+        pose(MESH, (CORNER,), BRAIN, Skull("free"), (held,), loose="remove")
+
+
 def test_unknown_ways_with_loose_pieces_are_refused():
     with pytest.raises(ValueError, match="magic"):
         pose(MESH, (), BRAIN, SKULL, loose="magic")

@@ -70,7 +70,7 @@ def sort_out(
         if is_crumb:
             crumbs.append(f"{what} about {_mm(_place(sub, parts))}")
         elif k not in held:
-            _tell(space, cuts, resections, retractions, parts, what, fates[k])
+            _tell(space, cuts, resections, retractions, parts, what, fates[k], loose == "remove")
         if fates[k] == "held":  # perhaps again: a motion of several pieces may ask for more of this one
             held[k] = np.hstack([held.get(k, np.empty((3, 0))), free])
         removed |= parts & (fates[k] == "removed")
@@ -93,8 +93,8 @@ def sort_out(
     return conditions, means, removed, tuple(pieces)
 
 
-def _tell(space, cuts, resections, retractions, parts, what, fate):
-    """Refuse a loose piece, or warn of what was done to it."""
+def _tell(space, cuts, resections, retractions, parts, what, fate, removes):
+    """Refuse a loose piece, or warn of what was done to it. `removes`: loose pieces go, but for the largest."""
     sub = space.subcells
     place = _mm(_place(sub, parts))
     sides = {(sub.lip_cut[lip], side) for side, column in ((1, 0), (-1, 1))
@@ -106,10 +106,14 @@ def _tell(space, cuts, resections, retractions, parts, what, fate):
     pulled = any((r.cut, r.side) in sides and not r.holds for r in retractions)
     if fate == "refused" or (fate == "removed" and pulled):
         why = "a retractor pulls on that piece, but" if pulled else "and"
+        remedy = "hold the piece, or say what to do with it: --loose-pieces remove|hold."
+        if removes:
+            largest = "the largest piece is not removed: " if fate == "refused" else ""
+            remedy = f"{largest}hold it by a blade or the skull, or say --loose-pieces hold."
         raise XfemnavError(
             "E306",
             f"{by} {'frees' if len(names) < 2 else 'free'} a piece of {what} about {place}, {why} nothing holds it; "
-            "let the cut end inside, hold the piece, or say what to do with it: --loose-pieces remove|hold.",
+            f"let the cut end inside; {remedy}",
         )
     if fate == "removed":
         warn("W312", f"a loose piece of {what} about {place}, freed by {by}, was removed: it is not in the result.")
