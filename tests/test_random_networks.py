@@ -121,6 +121,16 @@ def survives(seed):
     return "solved"
 
 
+@pytest.mark.filterwarnings("ignore::xfemnav.errors.XfemnavWarning")
+def test_means_of_a_piece_that_is_held_step_by_step_do_not_repeat_each_other():
+    seed = 3885974545  # motions of several pieces ask for one that is held already
+    mesh, cuts, resections = place(seed)
+    asked = draw_problem(cuts, resections, np.random.default_rng([seed, 1])) | {"loose": "hold"}
+    problem = pose(mesh, cuts, BRAIN, resections=resections, **asked | {"lip_constraint": "mortar"})
+    C = problem.means.C.toarray()
+    assert len(set(problem.means.pins.tolist())) == len(C) == np.linalg.matrix_rank(C) > 10
+
+
 @settings(derandomize=True, max_examples=120, deadline=None, database=None)
 @given(st.integers(0, 2**32 - 1))
 def test_random_networks_are_solved_or_refused_by_name(seed):
