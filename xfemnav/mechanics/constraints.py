@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lstsq, qr, solve_triangular
-from scipy.sparse import coo_array, csc_array, csr_array, vstack
+from scipy.sparse import csc_array, csr_array, vstack
 from scipy.sparse.csgraph import connected_components
 
 from xfemnav.errors import XfemnavError
@@ -31,8 +31,9 @@ class Constraints:
 
 def stack(parts: list[Constraints], n_dof: int) -> Constraints:
     """All conditions of several lists as one."""
-    if not parts:
-        return Constraints(csr_array((0, n_dof)), np.empty(0), np.empty(0))
+    parts = [p for p in parts if len(p.d)]
+    if len(parts) < 2:
+        return parts[0] if parts else Constraints(csr_array((0, n_dof)), np.empty(0), np.empty(0))
     return Constraints(
         vstack([p.C for p in parts], format="csr"),
         np.concatenate([p.d for p in parts]),
@@ -42,18 +43,29 @@ def stack(parts: list[Constraints], n_dof: int) -> Constraints:
 
 def vector_rows(B, values, group: int) -> Constraints:
     """Conditions u_i = value_i, both components, from scalar rows B (k, n_rows) and values (k, 2) mm; row 2 k + i."""
-    B = coo_array(B)
-    rows, columns = (np.concatenate([2 * index, 2 * index + 1]) for index in (B.row, B.col))
-    C = csr_array((np.tile(B.data, 2), (rows, columns)), (2 * B.shape[0], 2 * B.shape[1]))
+    C = both_components(B)
     return Constraints(C, np.asarray(values, float).ravel(), np.full(C.shape[0], group))
+
+
+def both_components(B) -> csr_array:
+    """B (k, n) for each component of a vector by itself, (2 k, 2 n): entry (r, c) becomes (2 r + i, 2 c + i)."""
+    B = csr_array(B)
+    count = np.diff(B.indptr)
+    first = np.arange(B.nnz) + np.repeat(B.indptr[:-1], count)
+    second = first + np.repeat(count, count)
+    data, indices = np.empty(2 * B.nnz), np.empty(2 * B.nnz, dtype=B.indices.dtype)
+    data[first] = data[second] = B.data
+    indices[first], indices[second] = 2 * B.indices, 2 * B.indices + 1
+    starts = np.concatenate([[0], np.cumsum(np.repeat(count, 2))])
+    return csr_array((data, indices, starts), (2 * B.shape[0], 2 * B.shape[1]))
 
 
 def normal_rows(B, normals, values, group: int) -> Constraints:
     """Conditions n . u = value from scalar rows B (k, n_rows), unit normals (k, 2), values (k,) mm."""
-    B = coo_array(B)
-    data = np.concatenate([B.data * normals[B.row, i] for i in (0, 1)])
-    columns = np.concatenate([2 * B.col, 2 * B.col + 1])
-    C = csr_array((data, (np.tile(B.row, 2), columns)), (B.shape[0], 2 * B.shape[1]))
+    B = csr_array(B)
+    data = B.data[:, None] * np.repeat(normals, np.diff(B.indptr), axis=0)
+    columns = 2 * B.indices[:, None] + np.arange(2, dtype=B.indices.dtype)
+    C = csr_array((data.ravel(), columns.ravel(), 2 * B.indptr), (B.shape[0], 2 * B.shape[1]))
     return Constraints(C, values, np.full(C.shape[0], group))
 
 

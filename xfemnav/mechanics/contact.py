@@ -19,7 +19,6 @@ import numpy as np
 import shapely
 from scipy.sparse import csr_array, vstack
 
-from xfemnav.mechanics.constraints import SKULL, normal_rows
 from xfemnav.mechanics.lips import LEFT, RIGHT, Retraction, hats_at, knots_along, lip_quadrature
 from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.space import Space
@@ -58,6 +57,8 @@ def join(parts: list[Contacts], n_dof: int) -> Contacts:
     parts = [p for p in parts if len(p.gap)]
     if not parts:
         return Contacts(csr_array((0, n_dof)), np.empty(0), np.empty(0), np.empty((0, 2)), np.empty((0, 3)))
+    if len(parts) == 1:
+        return parts[0]
     rest = (np.concatenate([getattr(p, name) for p in parts]) for name in ("gap", "cut", "points", "hats"))
     return Contacts(vstack([p.G for p in parts], format="csr"), *rest)
 
@@ -87,23 +88,30 @@ def contact_forces(contacts: Contacts, force) -> tuple[ContactForce, ...]:
 def lip_gaps(space: Space, U, cut: int) -> tuple[np.ndarray, np.ndarray]:
     """Arc (q,) mm and normal gap (q,) mm between the lips at Gauss points of a cut; U (n_rows, 2) mm."""
     length = space.subcells.lip_arc[space.subcells.lip_cut == cut].max()
-    left, right = (lip_quadrature(space, cut, side, (0.0, length)) for side in (LEFT, RIGHT))
-    jump = (space.basis_in(left.points, left.parts) - space.basis_in(right.points, right.parts)) @ U
-    return left.arc, np.einsum("qi,qi->q", jump, left.normals)
+    q = lip_quadrature(space, cut, LEFT, (0.0, length))
+    jump = (space.basis_in(q.points, q.parts) - space.basis_in(q.points, q.across)) @ U
+    return q.arc, np.einsum("qi,qi->q", jump, q.normals)
 
 
 def _stretch_contacts(space, cut, span):
     """Mean gaps over the hats of one stretch (from, to) mm of a cut."""
     knots = knots_along(space, cut, span, SPACING)
     breaks = np.concatenate([knots, _towards_tips(space, cut)])
-    left, right = (lip_quadrature(space, cut, side, span, breaks) for side in (LEFT, RIGHT))
-    weights = hats_at(left.arc, knots).multiply(left.weights).tocsr()
-    weights = csr_array(weights.multiply(1 / weights.sum(axis=1)[:, None]))
-    B = space.basis_in(left.points, left.parts) - space.basis_in(right.points, right.parts)
-    jump = normal_rows(B, left.normals, np.zeros(len(left.arc)), SKULL).C
-    hats = np.stack([np.append(knots[0], knots[:-1]), knots, np.append(knots[1:], knots[-1])], axis=1)
+    q = lip_quadrature(space, cut, LEFT, span, breaks)
+    hat, weights = hats_at(q.arc, knots)
     n = len(knots)
-    return Contacts(weights @ jump, np.zeros(n), np.full(n, cut), weights @ left.points, hats)
+    weights = weights * q.weights
+    weights /= np.bincount(hat.ravel(), weights.ravel(), n)[hat]
+    # Every point has an entry for each of its hats, its functions on either lip, and the two components.
+    at, rows, jump = space.values_in(np.tile(q.points, (2, 1)), np.concatenate([q.parts, q.across]))
+    jump = np.where(at < len(q.arc), jump, -jump)
+    at %= len(q.arc)
+    data = (weights[:, at] * jump)[:, :, None] * q.normals[at]
+    columns = np.broadcast_to(2 * rows[:, None] + np.arange(2), data.shape)
+    entries = data.ravel(), (np.repeat(hat[:, at], 2), columns.ravel())
+    points = np.stack([np.bincount(hat.ravel(), (weights * x).ravel(), n) for x in q.points.T], axis=1)
+    hats = np.stack([np.append(knots[0], knots[:-1]), knots, np.append(knots[1:], knots[-1])], axis=1)
+    return Contacts(csr_array(entries, (n, space.enrichment.n_dof)), np.zeros(n), np.full(n, cut), points, hats)
 
 
 def _towards_tips(space, cut):

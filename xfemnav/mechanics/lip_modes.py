@@ -17,7 +17,7 @@ from xfemnav.mechanics.constraints import Constraints, stack
 from xfemnav.mechanics.contact import lip_contacts
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.incision import Incision
-from xfemnav.mechanics.lips import Retraction, held_span, lip_quadrature, lip_rows
+from xfemnav.mechanics.lips import Retraction, held_length, held_span, lip_quadrature, lip_rows
 from xfemnav.mechanics.minimise import CONTRADICTION_MM, SETTLED, TOUCH_MM, Contacts, pressed
 
 #: A condition is left out when what it asks beyond the others is smaller than this, relative.
@@ -80,9 +80,7 @@ class LipModes:
     @cached_property
     def lengths(self) -> np.ndarray:
         """Held length (r,) mm of each lip."""
-        space = self.incision.space
-        held = [lip_quadrature(space, b.cut, b.side, span) for b, span in zip(self.blades, self.spans)]
-        return np.array([q.weights.sum() for q in held])
+        return np.array([held_length(self.incision.space, b.cut, span) for b, span in zip(self.blades, self.spans)])
 
     @cached_property
     def contacts(self) -> Contacts:

@@ -61,12 +61,14 @@ class Retraction:
 
 @dataclass(frozen=True, eq=False)
 class LipQuadrature:
-    """Gauss points along one lip: points (q, 2) mm, weights (q,) mm, arc (q,) mm, parts (q,), left normals (q, 2)."""
+    """Gauss points along one lip: points (q, 2) mm, weights (q,) mm, arc (q,) mm, parts (q,), those across
+    the cut (q,), left normals (q, 2)."""
 
     points: np.ndarray
     weights: np.ndarray
     arc: np.ndarray
     parts: np.ndarray
+    across: np.ndarray
     normals: np.ndarray
 
 
@@ -91,7 +93,13 @@ def lip_quadrature(space: Space, cut: int, side: int, span, breaks=(), n: int = 
     travel = ends[:, 1] - ends[:, 0]
     travel /= np.linalg.norm(travel, axis=1)[:, None]
     normals = np.stack([-travel[:, 1], travel[:, 0]], axis=1)
-    return LipQuadrature(points, weights, arc, sub.lip_parts[facet, 0 if side == LEFT else 1], normals)
+    own = 0 if side == LEFT else 1
+    return LipQuadrature(points, weights, arc, sub.lip_parts[facet, own], sub.lip_parts[facet, 1 - own], normals)
+
+
+def held_length(space: Space, cut: int, span) -> float:
+    """Length mm of the lips of a cut inside `span` (from, to) mm."""
+    return float(np.diff(np.clip(space.subcells.lip_arc[space.subcells.lip_cut == cut], *span)).sum())
 
 
 def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tuple[float, float]:
@@ -142,9 +150,13 @@ def mortar_rows(space: Space, retraction: Retraction, span, group: int) -> Const
     """Mean displacement over hats of spacing 2 h along the span: integral of hat_k (u - given) = 0."""
     knots = knots_along(space, retraction.cut, span)
     q = lip_quadrature(space, retraction.cut, retraction.side, span, knots)
-    hats = hats_at(q.arc, knots).multiply(q.weights)
-    given = retraction.displacement(q.normals)
-    return vector_rows(csr_array(hats @ space.basis_in(q.points, q.parts)), hats @ given, group)
+    hat, value = hats_at(q.arc, knots)
+    weights, given = value * q.weights, retraction.displacement(q.normals)
+    at, rows, basis = space.values_in(q.points, q.parts)
+    # Both of a point's hats take all of its basis functions.
+    entries = (weights[:, at] * basis).ravel(), (hat[:, at].ravel(), np.tile(rows, 2))
+    means = [np.bincount(hat.ravel(), (weights * u).ravel(), len(knots)) for u in given.T]
+    return vector_rows(csr_array(entries, (len(knots), space.enrichment.n_rows)), np.stack(means, axis=1), group)
 
 
 def knots_along(space, cut, span, spacing=2.0):
@@ -160,12 +172,11 @@ def knots_along(space, cut, span, spacing=2.0):
     return np.interp(np.linspace(0, count[-1], n + 1), count, arc)
 
 
-def hats_at(arc, knots):
-    """Piecewise linear hats (n_knots, q) at the arc positions (q,)."""
+def hats_at(arc, knots) -> tuple[np.ndarray, np.ndarray]:
+    """The two piecewise linear hats (2, q) that are not zero at the arc positions (q,), and their values (2, q)."""
     k = np.clip(np.searchsorted(knots, arc, side="right") - 1, 0, len(knots) - 2)
     t = (arc - knots[k]) / (knots[k + 1] - knots[k])
-    q = np.arange(len(arc))
-    return csr_array((np.concatenate([1 - t, t]), (np.concatenate([k, k + 1]), np.tile(q, 2))), (len(knots), len(arc)))
+    return np.stack([k, k + 1]), np.stack([1 - t, t])
 
 
 def crossings(space: Space, cut: int, side: int, hold_tip: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,7 +13,8 @@ from scipy.sparse import csr_array
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.mechanics.arcs import Arc, check_kind, facet_kinds
-from xfemnav.mechanics.constraints import SKULL, Constraints, normal_rows, stack, vector_rows
+from xfemnav.mechanics.constraints import SKULL, Constraints, both_components, normal_rows, stack, vector_rows
+from xfemnav.mechanics.contact import join
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.measured import measured_at
 from xfemnav.mechanics.minimise import Contacts
@@ -103,11 +104,9 @@ def skull_conditions(
     depth = _Depth(space, kinds, skull.craniotomy_mm, mouths)
     rigid = ~known & (depth(rim.points) >= _rigid_from(skull, rim.lengths))
     kind = kinds[rim.facet]
-    parts = [
-        _vector_conditions(space, rim, rigid & (kind == "fixed"), np.zeros((len(rim.points), 2))),
-        _sliding_conditions(space, rim, rigid & (kind == "sliding")),
-    ]
-    b = len(kinds)
+    fixed, sliding, b = rigid & (kind == "fixed"), rigid & (kind == "sliding"), len(kinds)
+    parts = [_vector_conditions(space, rim, fixed, np.zeros((len(rim.points), 2)))] if fixed.any() else []
+    parts += [_sliding_conditions(space, rim, sliding)] if sliding.any() else []
     springs = _springs(space, skull, depth, kinds, material, ~(known[:b] & known[b : 2 * b]))
     load = np.zeros(n_dof)
     if measured is not None and weight is None:
@@ -117,7 +116,7 @@ def skull_conditions(
         springs = csr_array(springs + pull)
     touching = ~known & (kind == "contact") & (_distance(rim.points, mouths) >= skull.craniotomy_mm)
     touching[2 * b :] = False
-    contacts = _contacts(space, rim, touching, gaps[rim.facet])
+    contacts = join([_contacts(space, rim, touching, gaps[rim.facet])] if touching.any() else [], n_dof)
     weak = np.flatnonzero(touching[:b] | touching[b : 2 * b])
     return OutlineConditions(stack(parts, n_dof), springs, load, contacts, _weak(space, weak, material))
 
@@ -215,6 +214,8 @@ def _springs(space, skull, depth, kinds, material, unknown):
     rigid = _rigid_from(skull, np.linalg.norm(b - a, axis=1))
     on_the_ramp = (ends.min(axis=0) < rigid) & (ends.max(axis=0) > 0)
     near = np.flatnonzero(on_the_ramp & unknown & np.isin(kinds, ("fixed", "sliding")))
+    if not len(near):
+        return csr_array((space.enrichment.n_dof,) * 2)
     rim, weights = rim_quadrature(space, near)
     distance = depth(rim.points)
     x = np.clip(distance / skull.ramp_mm, 0, 0.999) if skull.ramp_mm > 0 else np.zeros(len(distance))
@@ -233,8 +234,9 @@ def _springs(space, skull, depth, kinds, material, unknown):
 def _spring_matrix(space, rim, k):
     """Matrix (n_dof, n_dof) kPa of the energy sum k u.u / 2 at rim points, k (q,) kPa."""
     on = np.flatnonzero(k > 0)
-    C = vector_rows(space.basis_in(rim.points[on], rim.parts[on]), np.zeros((len(on), 2)), SKULL).C
-    return csr_array(C.T @ C.multiply(np.repeat(k[on], 2)[:, None]).tocsr())
+    B = space.basis_in(rim.points[on], rim.parts[on])
+    scaled = csr_array((B.data * np.repeat(k[on], np.diff(B.indptr)), B.indices, B.indptr), B.shape)
+    return both_components(B.T @ scaled)
 
 
 def _weighted(space, measured, weight):

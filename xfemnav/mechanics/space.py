@@ -27,12 +27,27 @@ class Space:
 
     def basis_in(self, points, parts) -> csr_array:
         """B (k, n_rows) with u = B U at points (k, 2) mm, each taken in the part (k,) given: it decides the lip."""
-        at, rows, values, _ = self._functions(np.asarray(points, float), np.asarray(parts))
-        return csr_array((values, (at, rows)), (len(points), self.enrichment.n_rows))
+        at, rows, values = self.values_in(points, parts)
+        shape = (len(points), self.enrichment.n_rows)
+        if len(at) == 3 * len(points):  # no branch functions: the rows are complete as they come
+            return csr_array((values, rows, np.arange(0, len(at) + 1, 3)), shape)
+        return csr_array((values, (at, rows)), shape)
+
+    def values_in(self, points, parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The entries of `basis_in`, (e,) each: point, basis function, value."""
+        points, parts = np.asarray(points, float), np.asarray(parts)
+        at, rows, hats, _ = self._hats(points, parts)
+        entry, who = self._entries(parts)
+        if not len(entry):
+            return at, rows, hats.ravel()
+        more, values, *_ = self._branch(points[who], entry)
+        weight = hats[who, self.enrichment.entry_node[entry]] * self._ramp(hats[who], entry)
+        return (np.concatenate([at, np.repeat(who, 4)]), np.concatenate([rows, more.ravel()]),
+                np.concatenate([hats.ravel(), (weight[:, None] * values).ravel()]))
 
     def gradient_in(self, points, parts) -> tuple[csr_array, csr_array]:
         """The two matrices (k, n_rows), 1/mm, of the basis functions' derivatives along the plane's axes."""
-        at, rows, _, gradients = self._functions(np.asarray(points, float), np.asarray(parts))
+        at, rows, gradients = self._gradients(np.asarray(points, float), np.asarray(parts))
         shape = (len(points), self.enrichment.n_rows)
         return tuple(csr_array((gradients[:, i], (at, rows)), shape) for i in (0, 1))
 
@@ -98,41 +113,48 @@ class Space:
         """Parts (k,) on which branch functions live."""
         return np.unique(self.enrichment.entry_part)
 
-    def _functions(self, points, parts):
-        """All basis functions at each point: point index, row, value, gradient, as flat arrays."""
-        table, cell = self.enrichment, self.subcells.part_cell[parts]
-        k = len(points)
-        hat_gradient = self.mesh.gradients[cell]
-        corner = self.mesh.points[self.mesh.cells[cell, 0]]
-        hats = np.einsum("kai,ki->ka", hat_gradient, points - corner)
+    def _hats(self, points, parts):
+        """Nodal shape functions: point (3 k,), row (3 k,), value (k, 3), gradient (k, 3, 2)."""
+        cell = self.subcells.part_cell[parts]
+        gradient = self.mesh.gradients[cell]
+        hats = np.einsum("kai,ki->ka", gradient, points - self.mesh.points[self.mesh.cells[cell, 0]])
         hats[:, 0] += 1
-        at, rows = [np.repeat(np.arange(k), 3)], [table.dof[parts].ravel()]
-        values, gradients = [hats.ravel()], [hat_gradient.reshape(-1, 2)]
+        return np.repeat(np.arange(len(points)), 3), self.enrichment.dof[parts].ravel(), hats, gradient
+
+    def _entries(self, parts):
+        """Entries (e,) of the table of branch functions at each point, and which point (e,) they are at."""
         count = self._entry_start[parts + 1] - self._entry_start[parts]
-        if count.any():
-            who = np.repeat(np.arange(k), count)
-            entry = (
-                np.arange(len(who))
-                - np.repeat(np.cumsum(count) - count, count)
-                + np.repeat(self._entry_start[parts], count)
-            )
-            first, a = table.entry_row[entry], table.entry_node[entry]
-            tip = table.tip[first]
-            x, travel = self.subcells.tips[tip], self.subcells.tip_travel[tip]
-            r, theta = polar(points[who], x, travel, table.entry_angle[entry])
-            f = branch_functions(r, theta) - table.shift[first[:, None] + np.arange(4)]
-            local = branch_gradients(np.maximum(r, 1e-300), theta)
-            frame = np.stack([travel, np.stack([-travel[:, 1], travel[:, 0]], axis=1)], axis=1)
-            df = np.einsum("eli,eij->elj", local, frame)
-            ramp = np.einsum("ea,ea->e", table.entry_ramp[entry], hats[who])
-            ramp_gradient = np.einsum("ea,eai->ei", table.entry_ramp[entry], hat_gradient[who])
-            hat, dhat = hats[who, a], hat_gradient[who, a]
-            weight, dweight = hat * ramp, hat[:, None] * ramp_gradient + dhat * ramp[:, None]
-            at.append(np.repeat(who, 4))
-            rows.append((first[:, None] + np.arange(4)).ravel())
-            values.append((weight[:, None] * f).ravel())
-            gradients.append((weight[:, None, None] * df + f[:, :, None] * dweight[:, None]).reshape(-1, 2))
-        return tuple(np.concatenate(x) for x in (at, rows, values, gradients))
+        who = np.repeat(np.arange(len(parts)), count)
+        return np.arange(len(who)) + np.repeat(self._entry_start[parts] - np.cumsum(count) + count, count), who
+
+    def _branch(self, points, entry):
+        """At a point (e, 2) each: rows (e, 4) of the entry's functions, F_l - F_l(x_i) (e, 4), and r (e,), theta (e,).
+        """
+        table = self.enrichment
+        rows = table.entry_row[entry][:, None] + np.arange(4)
+        tip = table.tip[rows[:, 0]]
+        r, theta = polar(points, self.subcells.tips[tip], self.subcells.tip_travel[tip], table.entry_angle[entry])
+        return rows, branch_functions(r, theta) - table.shift[rows], r, theta
+
+    def _ramp(self, values, entry):
+        """The blending ramp of each entry, from its nodal functions' values or gradients (e, 3, ...)."""
+        return np.einsum("ea,ea...->e...", self.enrichment.entry_ramp[entry], values)
+
+    def _gradients(self, points, parts):
+        """All basis functions at each point: point, row, gradient, as flat arrays."""
+        table = self.enrichment
+        at, rows, hats, gradient = self._hats(points, parts)
+        entry, who = self._entries(parts)
+        more, f, r, theta = self._branch(points[who], entry)
+        travel = self.subcells.tip_travel[table.tip[more[:, 0]]]
+        frame = np.stack([travel, np.stack([-travel[:, 1], travel[:, 0]], axis=1)], axis=1)
+        df = np.einsum("eli,eij->elj", branch_gradients(np.maximum(r, 1e-300), theta), frame)
+        a, ramp = table.entry_node[entry], self._ramp(hats[who], entry)
+        hat, dhat = hats[who, a], gradient[who, a]
+        weight, dweight = hat * ramp, hat[:, None] * self._ramp(gradient[who], entry) + dhat * ramp[:, None]
+        own = weight[:, None, None] * df + f[:, :, None] * dweight[:, None]
+        return (np.concatenate([at, np.repeat(who, 4)]), np.concatenate([rows, more.ravel()]),
+                np.concatenate([gradient.reshape(-1, 2), own.reshape(-1, 2)]))
 
     def paper_coefficients(self, U) -> dict[str, np.ndarray]:
         """The coefficients of Eq. (4) as the paper writes it, from those of this basis, U (n_rows, 2) mm.
