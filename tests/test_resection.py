@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import shapely
 from numpy.testing import assert_allclose
-from scipy.sparse.csgraph import connected_components
 
 from tests.meshes import cut_in, grid, jittered, outline
 from xfemnav.errors import XfemnavError
@@ -12,7 +11,7 @@ from xfemnav.geometry.removal import take_out
 from xfemnav.geometry.resection import inner_paths, place_resection
 from xfemnav.geometry.snapping import SNAP
 from xfemnav.geometry.subcells import embed
-from xfemnav.mechanics.angles import adjacency
+from xfemnav.mechanics.enrichment import enrich
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
 
@@ -139,7 +138,7 @@ def test_two_resections_side_by_side_leave_no_wall_between_them():
 def test_a_body_taken_out_leaves_walls_where_its_lips_were():
     cut = cut_in(MESH, (-1.0, 5.1), (13.0, 4.9))
     sub = embed(MESH, (cut,))
-    _, body = connected_components(adjacency(sub), directed=False)
+    body = enrich(MESH, sub).body
     upper = body == body[np.argmax(sub.corners[:, 0, 1][np.argsort(sub.part)])]
     left = take_out(sub, upper)
     assert not len(left.lip_cut) and (left.wall_resection == -1).all()

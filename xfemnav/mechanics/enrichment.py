@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from numba import njit
 
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.partition import HERE
 from xfemnav.geometry.subcells import Subcells
-from xfemnav.mechanics.angles import adjacency, centroids, torn, touched_parts, unwrap
+from xfemnav.mechanics.angles import centroids, torn, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_functions, polar
 
 STANDARD, HEAVISIDE, BRANCH = 0, 1, 2
@@ -100,17 +99,17 @@ def enrich(
     2008): R is the sum of the nodal shape functions of those nodes, and all nodes of their cells carry
     N_i R (F_l - F_l(x_i)).
     """
-    dof, node = _pieces(mesh, subcells)
+    dof, node, body = _pieces(mesh, subcells)
     kind = np.where(np.arange(len(node)) < len(mesh.points), STANDARD, HEAVISIDE)
     rows, entries, first = [], [], len(node)
     if tip_enrichment != "none" and len(subcells.tips):
-        near, middle = adjacency(subcells), centroids(subcells)
+        middle = centroids(subcells)
         for tip in range(len(subcells.tips)):
             if tip_enrichment == "geometric":
                 radius = tip_radius_mm if tip_radius_mm is not None else default_radius(mesh, subcells, tip)
-                table = _within_radius(mesh, subcells, dof, near, middle, tip, radius)
+                table = _within_radius(mesh, subcells, dof, middle, tip, radius)
             else:
-                table = _at_tip(mesh, subcells, dof, near, middle, tip)
+                table = _at_tip(mesh, subcells, dof, middle, tip)
             for i, shift, parts, local, angle, ramp in table:
                 rows.append((i, tip, shift))
                 entries.append((parts, local, np.full(len(parts), first), angle, ramp))
@@ -132,7 +131,7 @@ def enrich(
         entry_row=row[order],
         entry_angle=angle[order],
         entry_ramp=ramp[order],
-        body=_bodies(subcells),
+        body=body,
     )
 
 
@@ -145,19 +144,9 @@ def default_radius(mesh: Mesh, subcells: Subcells, tip: int) -> float:
 
 
 def _pieces(mesh, subcells):
-    """Rows of the functions N_i 1_piece: dof (p, 3) and the node (n,) of each."""
+    """Rows of the functions N_i 1_piece: dof (p, 3) and the node (n,) of each; and the body (p,) of each part."""
     cells = mesh.cells[subcells.part_cell]
-    p, q, i, k = subcells.joins.T
-    across = i >= 0
-    pairs = []
-    for nodes in (i, k):
-        a, b = p[across], q[across]
-        pairs.append((3 * a + _local(cells, a, nodes[across]), 3 * b + _local(cells, b, nodes[across])))
-    for local in range(3):
-        pairs.append((3 * p[~across] + local, 3 * q[~across] + local))
-    one, two = (np.concatenate(side) for side in zip(*pairs))
-    size = 3 * len(cells)
-    _, label = connected_components(coo_array((np.ones(len(one), bool), (one, two)), (size, size)), directed=False)
+    label, body = _connected(cells, subcells.joins)
     # The standard row of a node is the piece that holds the node; of several that touch it, the largest that is left.
     node_of = np.empty(label.max() + 1, dtype=int)
     node_of[label] = cells.ravel()
@@ -171,11 +160,49 @@ def _pieces(mesh, subcells):
     row[rank[head]] = node_of[rank[head]]
     row[rank[~head]] = len(mesh.points) + np.arange((~head).sum())
     node = np.concatenate([np.arange(len(mesh.points)), node_of[rank[~head]]])
-    return row[label].reshape(-1, 3), node
+    return row[label].reshape(-1, 3), node, body
 
 
-def _local(cells, parts, nodes):
-    return np.argmax(cells[parts] == nodes[:, None], axis=1)
+@njit(cache=True)
+def _connected(cells, joins):
+    """Number of the piece that each local node of each part, 3 part + local, is in; and of each part's body."""
+    pieces, bodies = np.arange(cells.size), np.arange(len(cells))
+    for j in range(len(joins)):
+        p, q, i, k = joins[j]
+        _join(bodies, p, q)
+        for local in range(3):
+            if i < 0:
+                _join(pieces, 3 * p + local, 3 * q + local)
+            elif cells[p, local] == i or cells[p, local] == k:
+                for other in range(3):
+                    if cells[q, other] == cells[p, local]:
+                        _join(pieces, 3 * p + local, 3 * q + other)
+    _number(pieces)
+    _number(bodies)
+    return pieces, bodies
+
+
+@njit(cache=True)
+def _join(parent, a, b):
+    while parent[a] != a:
+        parent[a] = parent[parent[a]]
+        a = parent[a]
+    while parent[b] != b:
+        parent[b] = parent[parent[b]]
+        b = parent[b]
+    parent[max(a, b)] = min(a, b)
+
+
+@njit(cache=True)
+def _number(parent):
+    """From the tree of each set, whose root comes first, to its number."""
+    n = 0
+    for a in range(len(parent)):
+        if parent[a] == a:
+            parent[a] = n
+            n += 1
+        else:
+            parent[a] = parent[parent[a]]
 
 
 def _held(mesh, subcells, cells):
@@ -187,12 +214,7 @@ def _held(mesh, subcells, cells):
     return np.unique(np.concatenate(found))
 
 
-def _bodies(subcells):
-    _, body = connected_components(adjacency(subcells), directed=False)
-    return body
-
-
-def _at_tip(mesh, subcells, dof, near, middle, tip):
+def _at_tip(mesh, subcells, dof, middle, tip):
     """For each node of the paper's set K: node, F_l(x_i), parts, local nodes, unwrapped angles, ramp (none)."""
     touched = touched_parts(subcells, tip)
     nodes = _nodes_about(mesh, subcells.part_cell[touched], subcells.tips[tip])
@@ -200,7 +222,7 @@ def _at_tip(mesh, subcells, dof, near, middle, tip):
     cells = mesh.cells[subcells.part_cell]
     # The functions live on the piece that the tip touches.
     pieces = {int(cells[p, a]): int(dof[p, a]) for p in touched for a in range(3) if cells[p, a] in nodes}
-    angle = unwrap(subcells, near, middle, tip, np.isin(dof, list(pieces.values())).any(axis=1))
+    angle = unwrap(subcells, middle, tip, np.isin(dof, list(pieces.values())).any(axis=1))
     jumping = torn(subcells, middle, tip, angle)
     for i, row in sorted(pieces.items()):
         parts, local = np.nonzero(dof == row)
@@ -211,14 +233,14 @@ def _at_tip(mesh, subcells, dof, near, middle, tip):
         yield i, shift, parts, local, angle[parts], np.ones((len(parts), 3))
 
 
-def _within_radius(mesh, subcells, dof, near, middle, tip, radius):
+def _within_radius(mesh, subcells, dof, middle, tip, radius):
     """The same for every node within `radius` mm of the tip and, under the ramp, the other nodes of their cells."""
     inner = np.linalg.norm(mesh.points - subcells.tips[tip], axis=1) < min(radius, _behind(mesh, subcells, tip))
     inner[_nodes_about(mesh, subcells.part_cell[touched_parts(subcells, tip)], subcells.tips[tip])] = True
     inner[[i for i in np.flatnonzero(inner) if _holds_other_end(mesh, subcells, tip, i)]] = False
     cells = mesh.cells[subcells.part_cell]
     inside = inner[cells].any(axis=1)
-    angle = unwrap(subcells, near, middle, tip, inside)
+    angle = unwrap(subcells, middle, tip, inside)
     inner[cells[torn(subcells, middle, tip, angle)]] = False
     inside = inner[cells].any(axis=1)
     parts, local = np.nonzero(np.repeat((inside & np.isfinite(angle))[:, None], 3, axis=1))

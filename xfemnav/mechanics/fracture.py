@@ -17,7 +17,7 @@ import numpy as np
 import shapely
 
 from xfemnav.geometry.mesh import orient
-from xfemnav.mechanics.angles import adjacency, centroids, touched_parts, unwrap
+from xfemnav.mechanics.angles import centroids, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_gradients, polar
 from xfemnav.mechanics.contact import lip_pressure
 from xfemnav.mechanics.elasticity import Material, strain_matrices
@@ -48,7 +48,7 @@ def stress_intensity(
     part_near = np.linalg.norm(sub.corners - x, axis=2).min(axis=1) < radius_mm
     inside = np.zeros(sub.n_parts, dtype=bool)
     inside[sub.part[part_near]] = True
-    angle = unwrap(sub, adjacency(sub), centroids(sub), tip, inside)
+    angle = unwrap(sub, centroids(sub), tip, inside)
     reached = part_near & np.isfinite(angle[sub.part])
     points, weights, owner = _domain_rule(sub.corners[reached], x, radius_mm)
     parts = sub.part[reached][owner]
