@@ -11,6 +11,7 @@ from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.fracture import PA_SQRT_M, stress_intensity
+from xfemnav.mechanics.loads import Gravity
 from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.solution import solve
@@ -78,3 +79,12 @@ def test_a_kinked_cut_gives_the_same_intensity_on_every_disc():
     U = solve(problem).U
     inner, outer = (np.array(stress_intensity(problem.space, problem.material, U, 0, r)) for r in (0.25, 0.8))
     assert np.abs(inner - outer).max() < 0.01 * np.linalg.norm(inner)
+
+
+def test_no_intensity_is_given_in_tissue_that_weighs():
+    """The integral leaves out forces inside of its disc."""
+    mesh = distmesh(rectangle(2, 2), 0.1)
+    cut = place_cut([[-1.1, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
+    for gravity, tips in ((None, 1), (Gravity((0.0, -1.0)), 0)):
+        problem = pose(mesh, (cut,), Material(1.0, 0.3), Skull("fixed", 0.5, 0.1), gravity=gravity)
+        assert len(solve(problem).tips) == tips

@@ -80,10 +80,16 @@ class FreeTip:
 def free_tips(problem: Problem, U, force) -> tuple[FreeTip, ...]:
     """The stress intensity factors of every tip with a free disc of at least two elements about it.
 
+    None where forces act inside of the tissue, which the integral leaves out: weight, and what holds a loose piece.
     force (g,) mN per mm: the multipliers of the problem's contacts.
     """
-    sub, found = problem.subcells, []
+    sub, table, found = problem.subcells, problem.space.enrichment, []
+    pushed = problem.load.reshape(-1, 2).any(axis=1)
+    if problem.means is not None:
+        pushed[problem.means.C.indices // 2] = True
     for tip, x in enumerate(sub.tips):
+        if pushed[table.dof[touched_parts(sub, tip)]].any():
+            continue
         h = problem.mesh.sizes[sub.part_cell[touched_parts(sub, tip)]].max()
         radius = 0.9 * _clearance(problem, tip)
         if radius >= 2 * h:
