@@ -1,5 +1,6 @@
 """The `xfemnav` command: commands by name, errors as one line with a code, exit codes as documented."""
 
+import atexit
 import gc
 import sys
 import traceback
@@ -28,8 +29,10 @@ for command in (run.run, *run.stage_commands, run.demo, batch.batch, tools.check
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line and leave the process with its exit code."""
-    # Imports make hundreds of thousands of objects that stay: searching them for cycles again and again costs .2 s.
+    # Imports make hundreds of thousands of objects that stay: searching them for cycles again and again costs .2 s,
+    # and once more when the interpreter ends as much again.
     gc.set_threshold(100_000)
+    atexit.register(gc.freeze)
     argv = sys.argv[1:] if argv is None else argv
     traced = "-vv" in argv
     try:

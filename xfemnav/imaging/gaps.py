@@ -7,13 +7,15 @@ beyond them a displacement leads out of the image, so that resampling gives back
 
 import numpy as np
 from scipy import sparse
-from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.sparse.linalg import splu
 
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.imaging.masks import touched
 from xfemnav.imaging.warp import PullBack
 
 NOWHERE = 1e4    # mm, farther than any image reaches
+# Pixels that touch one, the nearest first, and of equally near ones that of the first column, then of the first row.
+NEIGHBOURS = ((0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1))
 HALVINGS = 12    # of a pixel, to find a lip: to 1/4096, which also bounds a link's weight
 
 
@@ -50,14 +52,17 @@ def bridged(motion: PullBack, empty, tissue: PiecewiseAffineMap | None = None) -
 
 def _rim(motion: PullBack) -> np.ndarray:
     """Pixels (n1, n2) bool without tissue that touch tissue, also across a corner."""
-    return ~motion.tissue & binary_dilation(motion.tissue, np.ones((3, 3)))
+    return ~motion.tissue & touched(motion.tissue)
 
 
 def _carried(motion: PullBack, among) -> np.ndarray:
     """The field of `motion`, where pixels `among` (n1, n2) bool that touch tissue have that of the nearest tissue."""
-    field, rim = motion.field.copy(), _rim(motion) & among
-    nearest = distance_transform_edt(~motion.tissue, return_distances=False, return_indices=True)
-    field[rim] = motion.field[tuple(nearest[:, rim])]
+    field, places = motion.field.copy(), np.argwhere(_rim(motion) & among)
+    tissue = np.pad(motion.tissue, 1)
+    for step in NEIGHBOURS[::-1]:  # what is nearer is written later
+        to = places + step
+        there = tissue[tuple(to.T + 1)]
+        field[tuple(places[there].T)] = motion.field[tuple(to[there].T)]
     return field
 
 

@@ -1,9 +1,9 @@
 """The lips of an opened cut in the image of today: which pixels they are, and which of the two."""
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from xfemnav.geometry.cut import left_normals
+from xfemnav.imaging.masks import touched
 from xfemnav.imaging.warp import PullBack
 
 LEFT, RIGHT = 1, 2
@@ -20,7 +20,7 @@ def lip_labels(motion: PullBack, gap, rest, cuts) -> np.ndarray:
     `rest` (t, 3, 2) mm, which do not cross the cuts. Neighbours across a corner are next to each other.
     """
     labels = np.zeros(motion.tissue.shape, np.uint8)
-    beside = motion.tissue & binary_dilation(gap, np.ones((3, 3)))
+    beside = motion.tissue & touched(gap)
     if not (cuts and beside.any()):
         return labels
     places, centres = motion.resting[beside], rest[motion.triangle[beside]].mean(axis=1)

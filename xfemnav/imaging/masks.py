@@ -1,15 +1,48 @@
 """What every mask becomes before it is used: one component without holes."""
 
 import numpy as np
-from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from xfemnav.errors import XfemnavError, warn
 
 
+def components(mask: np.ndarray) -> np.ndarray:
+    """Number (n1, n2) of the 4-connected component of each pixel of a mask, in the order of their first pixels.
+
+    Pixels off the mask have -1. Runs of pixels along the rows are nodes of a graph, and an edge joins two that touch.
+    """
+    starts = _starts(mask)
+    run, overlaps = np.cumsum(starts.ravel()).reshape(mask.shape) - 1, _starts(mask[1:] & mask[:-1])
+    edges = coo_array((np.ones(overlaps.sum(), bool), (run[:-1][overlaps], run[1:][overlaps])), (starts.sum(),) * 2)
+    return np.where(mask, np.append(connected_components(edges, directed=False)[1], -1)[run], -1)
+
+
+def _starts(mask: np.ndarray) -> np.ndarray:
+    """The first pixel (n1, n2) of every run along the rows of a mask."""
+    starts = mask.copy()
+    starts[:, 1:] &= ~mask[:, :-1]
+    return starts
+
+
 def largest_component(mask: np.ndarray) -> np.ndarray:
     """The largest 4-connected component of a mask (n1, n2); all False when there is none."""
-    labels, n = ndimage.label(mask)
-    return labels == 1 + np.argmax(np.bincount(labels.ravel())[1:]) if n else np.zeros(mask.shape, bool)
+    number = components(mask)
+    return number == np.bincount(number[mask]).argmax() if mask.any() else np.zeros(mask.shape, bool)
+
+
+def filled(mask: np.ndarray) -> np.ndarray:
+    """A mask (n1, n2) without its holes: background that no way along rows and columns leads to the slice's edge."""
+    ways = components(~np.pad(mask, 1))
+    return ways[1:-1, 1:-1] != ways[0, 0]
+
+
+def touched(mask: np.ndarray) -> np.ndarray:
+    """Pixels (n1, n2) of a mask and those that touch them, also across a corner."""
+    for axis in (0, 1):
+        wide = np.pad(mask, [(1, 1) if k == axis else (0, 0) for k in (0, 1)])
+        mask = np.logical_or.reduce([np.take(wide, range(k, k + mask.shape[axis]), axis) for k in range(3)])
+    return mask
 
 
 def one_piece(mask: np.ndarray) -> np.ndarray:
@@ -18,13 +51,13 @@ def one_piece(mask: np.ndarray) -> np.ndarray:
     Raises E201 when nothing is left and E203 when there is no background.
     """
     mask = np.asarray(mask, bool)
-    filled = ndimage.binary_fill_holes(largest_component(mask))
-    if not filled.any():
+    whole = filled(largest_component(mask))
+    if not whole.any():
         raise XfemnavError("E201", f"the mask is empty: none of {mask.size} pixels is organ. Give a --mask FILE.")
-    if filled.all():
+    if whole.all():
         raise XfemnavError("E203", f"the mask covers the whole slice of {mask.shape[0]} x {mask.shape[1]} pixels, so "
                                    "the organ has no outline. Give a mask with background around it.")
-    return filled
+    return whole
 
 
 def clean(mask: np.ndarray, spacing) -> np.ndarray:

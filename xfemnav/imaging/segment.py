@@ -6,6 +6,7 @@ filled; else three methods vote. Whatever comes out is the user's to judge: a do
 
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +15,9 @@ from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging.masks import clean, dice, one_piece
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import Slice, values_on
-from xfemnav.imaging.stripped import foreground, is_stripped
-from xfemnav.imaging.working import Working, robust_range, working_copy
+
+if TYPE_CHECKING:
+    from xfemnav.imaging.working import Working
 
 METHODS = ("auto", "otsu", "vote", "svc")
 AGREEMENT = 0.9  # Dice that at least one pair of voters reaches when the vote is right
@@ -51,6 +53,10 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
         raise XfemnavError("E780", f"no segmentation method {method!r}; choose one of {', '.join(METHODS)}.")
     if method != "svc" and mask is not None:
         return _result(slice, clean(mask, slice.spacing), "mask", {})
+    # scipy.ndimage and scikit-image, which a given mask does without
+    from xfemnav.imaging.stripped import foreground, is_stripped
+    from xfemnav.imaging.working import working_copy
+
     work = working_copy(slice)
     if method == "svc":
         prior = _prior(slice, work, mask, template, template_mask)
@@ -60,7 +66,7 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
         return _result(slice, one_piece(work.back(found)), "svc", {"kept": dice(found, prior)})
     if method == "auto" and skull != "on" and (skull == "stripped" or is_stripped(slice)):
         return _result(slice, one_piece(foreground(slice)), "stripped", {})
-    from xfemnav.imaging.vote import head_of, largest_otsu, vote  # scikit-image, which a given mask does without
+    from xfemnav.imaging.vote import head_of, largest_otsu, vote
 
     head = head_of(work)
     if method == "otsu":
@@ -72,7 +78,7 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
     return _result(slice, one_piece(work.back(found)), "otsu" if method == "otsu" else "vote", info)
 
 
-def _prior(slice: Slice, work: Working, mask, template: Image | None, template_mask: Image | None) -> np.ndarray:
+def _prior(slice: Slice, work: "Working", mask, template: Image | None, template_mask: Image | None) -> np.ndarray:
     """Where the organ should be, on the working copy: the user's mask, or the template's laid on the slice."""
     if mask is not None:
         return work.forth(clean(mask, slice.spacing).astype(float)) > 0.5
@@ -81,11 +87,12 @@ def _prior(slice: Slice, work: Working, mask, template: Image | None, template_m
     same_shape = template.values.shape == template_mask.values.shape
     if not same_shape or not np.allclose(template.affine, template_mask.affine, atol=1e-3):
         raise XfemnavError("E206", f"{template.name} and {template_mask.name} have different grids; give one grid.")
+    from xfemnav.imaging.svc import register
+    from xfemnav.imaging.working import robust_range
+
     values = values_on(template, slice, resample="linear")
     low, high = robust_range(values) if values.max() > values.min() else (0.0, 1.0)
     organ = (values_on(template_mask, slice, resample="nearest") != 0).astype(float)
-    from xfemnav.imaging.svc import register
-
     return register(work.values, work.forth((values - low) / (high - low)), work.forth(organ), work.pixel)
 
 

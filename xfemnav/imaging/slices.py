@@ -11,12 +11,11 @@ and 3D Slicer show them. What is given in mm does not depend on the order.
 from dataclasses import dataclass
 from itertools import permutations
 
-import nibabel
 import numpy as np
-from scipy import ndimage
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.imaging.nifti_image import NiftiImage
 from xfemnav.imaging.reading import Image
 
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal
@@ -177,18 +176,12 @@ def plane_points(slice: Slice, points, space: str = "ras") -> np.ndarray:
     return plane
 
 
-def to_nifti(slice: Slice, values, dtype=np.float32) -> nibabel.Nifti1Image:
+def to_nifti(slice: Slice, values, dtype=np.float32) -> NiftiImage:
     """`values` (n1, n2) as a 3-D image with one slice, on the input's grid and in its storage order."""
     affine = slice.affine.copy()
     affine[:3, 3] += slice.index * affine[:3, slice.array_axes[2]]
-    image = nibabel.Nifti1Image(slice.to_storage(np.asarray(values)).astype(dtype), affine)
-    code = slice.frame_code or 1  # a position that was not stated is now, or readers would centre the one slice anew
-    image.set_sform(affine, code)
-    image.set_qform(affine, code)
-    if not np.allclose(image.get_qform(), affine, atol=1e-3):
-        image.set_qform(affine, 0)  # tilted slices: a quaternion cannot hold the shear between them
-    image.header.set_xyzt_units("mm")
-    return image
+    # A position that was not stated is now, or readers would centre the one slice anew.
+    return NiftiImage(slice.to_storage(np.asarray(values)).astype(dtype), affine, slice.frame_code or 1)
 
 
 def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.ndarray:
@@ -205,9 +198,13 @@ def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.n
                                    f" the first at ({_at(first)}); the slice has {_by(like.values.shape)} pixels of "
                                    f"{_by(like.spacing)} mm, the first at ({_at(like.to_world(like.origin))}). "
                                    "Resample it, or give --resample-mask.")
+    if resample is None:
+        return image.values[tuple(np.moveaxis(nearest, -1, 0))]
+    from scipy.ndimage import map_coordinates
+
     inside = ((nearest >= 0) & (nearest < image.values.shape)).all(axis=-1)
-    values = ndimage.map_coordinates(image.values, np.moveaxis(voxels if resample == "linear" else nearest, -1, 0),
-                                     order=1 if resample == "linear" else 0, mode="nearest")
+    values = map_coordinates(image.values, np.moveaxis(voxels if resample == "linear" else nearest, -1, 0),
+                             order=1 if resample == "linear" else 0, mode="nearest")
     return np.where(inside, values, 0.0)
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import spline_filter1d
 
 from xfemnav.imaging.warp import SAME
 
@@ -37,6 +36,8 @@ def _spline(values, matrix, shift, wanted, places):
     at, last = places[wanted] @ matrix.T + shift, np.array(values.shape[:3]) - 1
     low = np.clip(np.floor(at.min(axis=0, initial=0)).astype(int) - SPLINE_REACH, 0, last)
     high = np.clip(np.ceil(at.max(axis=0, initial=0)).astype(int) + SPLINE_REACH, 0, last) + 1
+    from scipy.ndimage import spline_filter1d
+
     long = [axis for axis in range(3) if last[axis] > 0]
     pad = [(SPLINE_REACH if axis in long else 0,) * 2 for axis in range(3)]
     near = np.pad(values[tuple(slice(*ends) for ends in zip(low, high))], [*pad, (0, 0)], mode="edge")

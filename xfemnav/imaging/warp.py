@@ -10,7 +10,6 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import map_coordinates
 
 # A pixel centre this near to an edge (pixels) lies on it: in the tissue, but in no triangle more than once. It is far
 # above the rounding of corners that neighbours compute each for itself, and far below what an image can show.
@@ -176,6 +175,8 @@ def _sample_into(out, values, origin, spacing, points, interp) -> None:
     origin, spacing = np.asarray(origin, float), np.asarray(spacing, float)
     flat, to = points.reshape(-1, 2), out.reshape(-1)
     if interp == "cubic":
+        from scipy.ndimage import map_coordinates  # it takes longer to load than an image to warp
+
         known = np.isfinite(flat[:, 0])
         at = ((flat[known] - origin) / spacing).T
         to[known] = map_coordinates(np.asarray(values, float), at, order=3, mode="nearest")
