@@ -1,25 +1,36 @@
 """HDF5 files without their clocks: the same content gives the same bytes."""
 
 import struct
+from pathlib import Path
 
 
-def without_times(data: bytes) -> bytes:
-    """An HDF5 file with all times of its objects 0.
+def clear_times(path: Path) -> None:
+    """Set all times of the objects in an HDF5 file to 0, where they are.
 
     They are in the object headers (HDF5 file format 3.0, IV.A.1.b): OHDR, version 2, flags, four times if flag 5 is
     set, the first chunk and its checksum. What has these letters by chance has no such checksum and is left alone.
     """
-    data, at = bytearray(data), 0
+    data, at, changed = path.read_bytes(), 0, {}
     while (at := data.find(b"OHDR\x02", at)) >= 0:
-        flags = data[at + 5]
-        size_at = at + 6 + (16 if flags & 32 else 0) + (4 if flags & 16 else 0)
-        width = 1 << (flags & 3)
-        end = size_at + width + int.from_bytes(data[size_at:size_at + width], "little")
-        if flags & 32 and data[end:end + 4] == _lookup3(data[at:end]):
-            data[at + 6:at + 22] = bytes(16)
-            data[end:end + 4] = _lookup3(data[at:end])
+        if (header := _without_times(data, at)) is not None:
+            changed[at] = header
         at += 1
-    return bytes(data)
+    with path.open("r+b") as file:
+        for at, header in changed.items():
+            file.seek(at)
+            file.write(header)
+
+
+def _without_times(data: bytes, at: int) -> bytes | None:
+    """The object header at `at` with times of 0 and its checksum; None where it has no times, or is none."""
+    flags = data[at + 5] if at + 5 < len(data) else 0
+    size_at = at + 6 + (16 if flags & 32 else 0) + (4 if flags & 16 else 0)
+    width = 1 << (flags & 3)
+    end = size_at + width + int.from_bytes(data[size_at:size_at + width], "little")
+    if not flags & 32 or data[end:end + 4] != _lookup3(data[at:end]):
+        return None
+    header = data[at:at + 6] + bytes(16) + data[at + 22:end]
+    return header + _lookup3(header)
 
 
 def _lookup3(message: bytes) -> bytes:

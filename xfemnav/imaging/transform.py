@@ -12,7 +12,7 @@ import SimpleITK as sitk
 
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.imaging.gaps import bridged, extended
-from xfemnav.imaging.hdf5 import without_times
+from xfemnav.imaging.hdf5 import clear_times
 from xfemnav.imaging.slices import Slice
 from xfemnav.imaging.vectors import vector_image
 from xfemnav.imaging.warp import covered, pull_back
@@ -75,4 +75,4 @@ def itk_transform(slice: Slice, field) -> sitk.CompositeTransform:
 def write_transform(path, slice: Slice, field) -> None:
     """Write `itk_transform` as ITK's .h5 file; the same field gives the same bytes."""
     sitk.WriteTransform(itk_transform(slice, field), str(path))
-    Path(path).write_bytes(without_times(Path(path).read_bytes()))
+    clear_times(Path(path))

@@ -21,8 +21,9 @@ KINDS = "resampling", "modeling"         # 3D Slicer's words for fields of new p
 
 def vector_image(slice: Slice, field) -> sitk.Image:
     """`field` (n1, n2, 2) mm, plane axes, as an ITK image of vectors: LPS mm, e1, e2 and three slices, float64."""
-    vectors = np.asarray(field, float).swapaxes(0, 1) @ slice.axes[:2] * LPS
-    image = sitk.GetImageFromArray(np.stack([vectors] * 3), isVector=True)
+    vectors = np.asarray(field, float).swapaxes(0, 1) @ slice.axes[:2]
+    vectors *= LPS
+    image = sitk.GetImageFromArray(np.broadcast_to(vectors, (3, *vectors.shape)), isVector=True)
     e1, e2 = slice.axes[:2] * LPS
     normal, step = np.cross(e1, e2), SPREAD * slice.thickness
     image.SetOrigin((slice.to_world(slice.origin[None])[0] * LPS - step * normal).tolist())

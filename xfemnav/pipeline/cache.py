@@ -6,7 +6,7 @@
     ROOT/damaged/                           entries that failed their check, set aside
 
 A manifest counts only if it is, byte for byte, the canonical JSON of what it says, so that a flipped bit anywhere in
-an entry is noticed.
+an entry is noticed. That is also why no entry is forced onto the disk: what a power cut tears is made anew.
 """
 
 import json
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xfemnav.errors import warn
-from xfemnav.pipeline.disk import TEMPORARY, sync, writing
+from xfemnav.pipeline.disk import TEMPORARY, writing
 from xfemnav.pipeline.keys import canonical, digest, file_digest
 from xfemnav.pipeline.locks import locked
 
@@ -136,13 +136,10 @@ class Cache:
                 build(temporary)
                 files = _digests(temporary)
                 (temporary / MANIFEST).write_bytes(canonical({"key": key, "files": files}))
-                for path in (*temporary.rglob("*"), temporary):
-                    sync(path)
                 if folder.exists():  # made anew by force
                     os.rename(folder, replaced)
                 os.rename(temporary, folder)
                 shutil.rmtree(replaced, ignore_errors=True)
-                sync(folder.parent)
             except BaseException:
                 shutil.rmtree(temporary, ignore_errors=True)
                 raise

@@ -35,7 +35,7 @@ def write_atomic(path: Path, data: bytes) -> None:
 
 
 def write_together(folder: Path, files: dict[str, bytes], before: Callable[[], None] = lambda: None) -> None:
-    """Put `files` (name -> bytes) into `folder`, each in one step: temporary sibling, fsync, rename; then fsync it.
+    """Put `files` (name -> bytes) into `folder`, each in one step: temporary siblings, fsync, rename; then fsync it.
 
     `before` is called when all is on the disk and nothing has been renamed.
     """
@@ -43,10 +43,9 @@ def write_together(folder: Path, files: dict[str, bytes], before: Callable[[], N
     with writing(folder, ", ".join(files)):
         try:
             for temporary, data in zip(temporaries, files.values()):
-                with open(temporary, "wb") as stream:
-                    stream.write(data)
-                    stream.flush()
-                    os.fsync(stream.fileno())
+                temporary.write_bytes(data)
+            for temporary in temporaries:  # when all are written, or the disk waits for each
+                sync(temporary)
             before()
             for temporary, name in zip(temporaries, files):
                 os.replace(temporary, folder / name)

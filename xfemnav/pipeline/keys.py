@@ -63,19 +63,28 @@ def own_digest(stage: str, root: Path = PACKAGE) -> str:
 
 def source_digest(*sources: Path, root: Path = PACKAGE) -> str:
     """sha256 over names and content of source files below `root`."""
-    return digest({source.relative_to(root).as_posix(): file_digest(source) for source in sources})
+    stated = {source: source.stat() for source in sources}
+    return digest({source.relative_to(root).as_posix(): _read_once(source, now.st_mtime_ns, now.st_size)
+                   for source, now in stated.items()})
 
 
 @cache
-def library_versions(names: tuple[str, ...]) -> dict[str, str]:
+def _read_once(source: Path, changed_ns: int, size: int) -> str:
+    """`file_digest` of a source: most of them are reached by several layers."""
+    return file_digest(source)
+
+
+def library_versions(names: tuple[str, ...]) -> dict[str, str | None]:
     """Installed versions of `names`, None of one that is not there. Read from metadata: nothing is imported."""
-    found = {}
-    for name in names:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = None
-    return found
+    return {name: _installed(name) for name in names}
+
+
+@cache
+def _installed(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
 
 
 def stage_key(stage: str, layers: tuple[str, ...], libraries: tuple[str, ...], params, inputs: dict[str, str]) -> str:

@@ -71,11 +71,15 @@ def _hausdorff(mesh, inputs) -> float:
     one = shapely.LinearRing(outline_of(segmentation.mask, slice.origin, slice.spacing))
     other = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
 
-    def farthest(points, line):
-        return shapely.distance(shapely.points(shapely.get_coordinates(points)), line).max()
+    def farthest(line, other):
+        """Largest distance of points on a line, half a pixel apart, from the segments of the other."""
+        ends = shapely.get_coordinates(other)
+        segments = shapely.STRtree(shapely.linestrings(np.stack([ends[:-1], ends[1:]], axis=1)))
+        fine = shapely.segmentize(line, slice.spacing.min() / 2)
+        points = shapely.points(shapely.get_coordinates(fine))
+        return segments.query_nearest(points, return_distance=True, all_matches=False)[1].max()
 
-    fine = shapely.segmentize((one, other), slice.spacing.min() / 2)
-    return float(np.maximum(farthest(fine[0], other), farthest(fine[1], one)))
+    return float(np.maximum(farthest(one, other), farthest(other, one)))
 
 
 def publish(value, inputs, folder):
