@@ -3,12 +3,14 @@
     python -m benchmarks.runs
 
 A 512 x 512 slice of the MNI152 brain's outline at .36 mm, about 4.5k nodes, a cut of 80 mm opened by 6 mm. Seconds of
-the child process on a processor, and on the wall's clock; medians of 5.
+the child process on a processor, and on the wall's clock; medians of 5. Python keeps the bytecode of our modules, as
+an installation does, also where PYTHONDONTWRITEBYTECODE is set.
 """
 
 from benchmarks.timing import keep, mark, table  # isort: skip (sets the number of threads)
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -23,6 +25,7 @@ from benchmarks.mesh import brain_outline
 from xfemnav.imaging.warp import enclosed
 
 REPEATS, SIDE, PIXEL_MM = 5, 512, 0.36
+INSTALLED = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 COMMAND = str(Path(sys.executable).with_name("xfemnav"))
 # A small process starts the command: a child's peak memory counts from its parent's.
 START = """
@@ -51,7 +54,8 @@ def write_slice(folder: Path) -> tuple[Path, Path]:
 
 def once(*words: str) -> list[float]:
     """Processor's seconds, wall's seconds and peak MB of one run of a command."""
-    told = subprocess.run([sys.executable, "-S", "-c", START, *words], capture_output=True, text=True, check=True)
+    told = subprocess.run([sys.executable, "-S", "-c", START, *words], capture_output=True, text=True, check=True,
+                          env=INSTALLED)
     code, *found = json.loads(told.stdout)
     if code:
         sys.exit(f"{' '.join(words)} ended with {code}")
