@@ -25,7 +25,7 @@ class PullBack:
     `resting` (n1, n2, 2) mm, NaN where there is no tissue; `count` (n1, n2) triangles that cover the pixel, 2 or more
     where tissue overlaps; `folded` (n1, n2) triangles that cover it turned inside out, which `count` leaves out;
     `triangle` (n1, n2) the index of the one that `resting` is from, -1 for none; the `origin`, `spacing` (2,) mm;
-    `F` (t, 2, 2) the deformation gradient of each triangle, d moved / d rest.
+    the triangles at `rest` and `moved`, both (t, 3, 2) mm.
     """
 
     resting: np.ndarray
@@ -34,7 +34,8 @@ class PullBack:
     triangle: np.ndarray
     origin: np.ndarray
     spacing: np.ndarray
-    F: np.ndarray
+    rest: np.ndarray
+    moved: np.ndarray
 
     @cached_property
     def tissue(self) -> np.ndarray:
@@ -45,6 +46,11 @@ class PullBack:
     def overlap(self) -> np.ndarray:
         """Pixels (n1, n2) with more than one piece of tissue in them."""
         return self.count > 1
+
+    @cached_property
+    def F(self) -> np.ndarray:
+        """The deformation gradient (t, 2, 2) of each triangle, d moved / d rest."""
+        return _gradients(self.rest, self.moved)
 
     @cached_property
     def field(self) -> np.ndarray:
@@ -105,7 +111,7 @@ def pull_back(rest, moved, origin, spacing, shape) -> PullBack:
     """
     origin, spacing = np.asarray(origin, float), np.asarray(spacing, float)
     rest, moved = np.ascontiguousarray(rest, float), np.ascontiguousarray(moved, float)
-    return PullBack(*_rasterise(rest, moved, origin, spacing, *shape), origin, spacing, _gradients(rest, moved))
+    return PullBack(*_rasterise(rest, moved, origin, spacing, *shape), origin, spacing, rest, moved)
 
 
 @njit(cache=True)
