@@ -53,7 +53,7 @@ def unwrap(subcells: Subcells, middle, tip: int, inside) -> np.ndarray:
 
 
 def torn(subcells: Subcells, middle, tip: int, angle) -> np.ndarray:
-    """Parts (k,) across whose contact the angle (p,) jumps although no cut is there.
+    """Parts (p,) bool across whose contact the angle (p,) jumps although no cut is there.
 
     So it does somewhere on a ring of tissue around another cut's tip or around a hole: walks meet that went both ways.
     """
@@ -64,7 +64,9 @@ def torn(subcells: Subcells, middle, tip: int, angle) -> np.ndarray:
     raw, raw_contact = _angle(middle[p] - x, travel), _angle(subcells.join_middle[reached] - x, travel)
     between = angle[q] + _wrap(raw_contact - angle[q])
     there = between + _wrap(raw - between)
-    return np.unique(subcells.joins[reached, :2][np.abs(there - angle[p]) > np.pi])
+    jumps = np.zeros(len(angle), dtype=bool)
+    jumps[subcells.joins[reached, :2][np.abs(there - angle[p]) > np.pi]] = True
+    return jumps
 
 
 def _angle(offset, travel):

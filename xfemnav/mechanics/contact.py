@@ -19,6 +19,7 @@ import numpy as np
 import shapely
 from scipy.sparse import csr_array, vstack
 
+from xfemnav.mechanics.constraints import SKULL, normal_rows
 from xfemnav.mechanics.lips import LEFT, RIGHT, Retraction, hats_at, knots_along, lip_quadrature
 from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.space import Space
@@ -102,16 +103,14 @@ def _stretch_contacts(space, cut, span):
     n = len(knots)
     weights = weights * q.weights
     weights /= np.bincount(hat.ravel(), weights.ravel(), n)[hat]
-    # Every point has an entry for each of its hats, its functions on either lip, and the two components.
     at, rows, jump = space.values_in(np.tile(q.points, (2, 1)), np.concatenate([q.parts, q.across]))
-    jump = np.where(at < len(q.arc), jump, -jump)
-    at %= len(q.arc)
-    data = (weights[:, at] * jump)[:, :, None] * q.normals[at]
-    columns = np.broadcast_to(2 * rows[:, None] + np.arange(2), data.shape)
-    entries = data.ravel(), (np.repeat(hat[:, at], 2), columns.ravel())
+    m = len(q.arc)
+    jump = csr_array((np.where(at < m, jump, -jump), (at % m, rows)), (m, space.enrichment.n_rows))
+    means = csr_array((weights.T.ravel(), hat.T.ravel(), np.arange(0, 2 * m + 1, 2)), (m, n)).T
+    G = means @ normal_rows(jump, q.normals, np.zeros(m), SKULL).C
     points = np.stack([np.bincount(hat.ravel(), (weights * x).ravel(), n) for x in q.points.T], axis=1)
     hats = np.stack([np.append(knots[0], knots[:-1]), knots, np.append(knots[1:], knots[-1])], axis=1)
-    return Contacts(csr_array(entries, (n, space.enrichment.n_dof)), np.zeros(n), np.full(n, cut), points, hats)
+    return Contacts(csr_array(G), np.zeros(n), np.full(n, cut), points, hats)
 
 
 def _towards_tips(space, cut):

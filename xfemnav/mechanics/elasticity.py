@@ -159,7 +159,7 @@ def stiffness_of_parts(space: Space, material: Material | Tissue, chosen) -> csc
 def plain_blocks(gradients, area, D) -> np.ndarray:
     """K_c = area B'DB (k, 6, 6) kPa of linear triangles with gradients (k, 3, 2) 1/mm, area (k,) mm^2, D (k, 3, 3)."""
     B = strain_operator(gradients)
-    return np.einsum("csa,cst,ctb->cab", B * area[:, None, None], D, B, optimize=True)
+    return B.swapaxes(1, 2) @ (area[:, None, None] * D) @ B
 
 
 def stress_matrices(strain: list[csr_array], D) -> list[csr_array]:

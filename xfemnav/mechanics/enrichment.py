@@ -227,7 +227,7 @@ def _at_tip(mesh, subcells, dof, middle, tip):
     for i, row in sorted(pieces.items()):
         parts, local = np.nonzero(dof == row)
         parts, local = _reached(parts, local, angle)
-        if not len(parts) or np.isin(parts, jumping).any():
+        if not len(parts) or jumping[parts].any():
             continue
         shift = _shift(mesh, subcells, middle, angle, tip, i, parts)
         yield i, shift, parts, local, angle[parts], np.ones((len(parts), 3))

@@ -39,7 +39,7 @@ class Incision:
     space: mesh, subcells and basis of the `window` about the cut, whose rim is that of the organ;
     rows (a,): its basis functions that are unknown here; number (n_dof,) the unknown of each degree of freedom;
     give (2 k, 2 k): lower Cholesky factor of the uncut organ's compliance, mm per mN per mm, at the first k rows, the
-    nodes; A (n, n): stiffness of the scaled unknowns q, and R (2 a, n) the map u = R q; skull: conditions of the skull
+    nodes; A (n, n) kPa: stiffness of the unknowns q, and R (2 a, n) the map u = R q; skull: conditions of the skull
     that are no plain zeros.
     """
 
@@ -51,7 +51,7 @@ class Incision:
     number: np.ndarray
     give: np.ndarray
     A: np.ndarray
-    R: "Scaling"
+    R: "Mixing"
     skull: Constraints
 
     def local(self, C) -> np.ndarray:
@@ -77,25 +77,23 @@ class Incision:
 
 
 @dataclass(frozen=True, eq=False)
-class Scaling:
-    """u = R q: plain unknowns `plain` (p,) of u are scaled by `scale` (p,), those of `tips` (t,) mixed by `mix` (t, n).
-    Unknowns in neither are zero."""
+class Mixing:
+    """u = R q: the unknowns `plain` (p,) of u are the first of q, those of `tips` (t,) are mixed from the rest by `mix`
+    (t, n). Unknowns in neither are zero."""
 
     size: int
     plain: np.ndarray
-    scale: np.ndarray
     tips: np.ndarray
     mix: np.ndarray
 
     def __matmul__(self, q):
         u = np.zeros((self.size, *q.shape[1:]))
-        u[self.plain] = self.scale[:, None] * q[: len(self.plain)]
-        u[self.tips] = self.mix @ q[len(self.plain) :]
+        u[self.plain], u[self.tips] = q[: len(self.plain)], self.mix @ q[len(self.plain) :]
         return u
 
     def rows(self, C) -> np.ndarray:
         """C R (m, n) of rows C (m, size)."""
-        return np.concatenate([C[:, self.plain] * self.scale, C[:, self.tips] @ self.mix], axis=1)
+        return np.concatenate([C[:, self.plain], C[:, self.tips] @ self.mix], axis=1)
 
 
 def incise(
@@ -133,7 +131,7 @@ def incise(
     plain, tips = _order(table, rows, number[fixed])
     stiffness = stiffness_of_parts(space, material, parts), outline.springs
     K = _gathered(np.concatenate([plain, tips]), number, outside, stiffness)
-    A, R = _scaled(space, material, tip_enrichment, rows, K, plain, tips)
+    A, R = _mixed(space, material, tip_enrichment, rows, K, plain, tips)
     return Incision(organ, cuts, part, space, rows, number, give, A, R, skull)
 
 
@@ -202,13 +200,11 @@ def _outside(organ, part, material, cells, nodes):
 
 def _plain(mesh, material, cells, nodes):
     """Stiffness (2 k, 2 k) kPa of uncut `cells` (c,) on nodes (k,)."""
-    K = np.zeros((2 * len(nodes),) * 2)
     K_c = plain_blocks(mesh.gradients[cells], mesh.areas[cells], material.stiffness_in(cells))
-    number = np.empty(len(mesh.points), dtype=int)
+    number, n = np.empty(len(mesh.points), dtype=int), 2 * len(nodes)
     number[nodes] = np.arange(len(nodes))
     dof = (2 * number[mesh.cells[cells]][:, :, None] + np.arange(2)).reshape(-1, 6)
-    np.add.at(K, (dof[:, :, None], dof[:, None, :]), K_c)
-    return K
+    return np.bincount((n * dof[:, :, None] + dof[:, None, :]).ravel(), K_c.ravel(), n * n).reshape(n, n)
 
 
 def _live(conditions, held) -> tuple[np.ndarray, Constraints]:
@@ -243,24 +239,24 @@ def _gathered(order, number, outside, matrices):
     return K
 
 
-def _scaled(space, material, tip_enrichment, rows, K, plain, tips):
-    """A = R'KR and the scaling R, with the blocks of tip nodes as in `node_blocks`; K has `plain`, then `tips`."""
+def _mixed(space, material, tip_enrichment, rows, K, plain, tips):
+    """A = R'KR and R, which makes the block of each tip node as in `node_blocks`; K has `plain`, then `tips`.
+
+    The scale of the other unknowns makes no difference to a Cholesky factor.
+    """
     p, table = len(plain), space.enrichment
-    scale = 1 / np.sqrt(np.diagonal(K)[:p])
     dofs, T = (2 * rows[:, None] + np.arange(2)).ravel()[tips], np.eye(len(tips))
     if tip_enrichment == "geometric":
         T = vector_tip_basis(space, material).tocsr()[dofs].tocsc()
         T = T[:, np.flatnonzero(np.diff(T.indptr))].toarray()
-    beside, block = K[:p, p:] @ T, T.T @ K[p:, p:] @ T
+    block = T.T @ K[p:, p:] @ T
     owner = table.node[dofs // 2][np.argmax(T != 0, axis=0)] if len(tips) else tips
     P = np.zeros((T.shape[1],) * 2)
     for own in blocks(owner):
         square = own[:, :, None], own[:, None, :]
         P[square] = inverse_roots(block[square])
-    P = P[:, P.any(axis=0)]
-    A = np.empty((p + P.shape[1],) * 2)
-    np.multiply(K[:p, :p], scale[:, None], out=A[:p, :p])
-    A[:p, :p] *= scale
-    A[:p, p:] = scale[:, None] * (beside @ P)
-    A[p:, :p], A[p:, p:] = A[:p, p:].T, P.T @ ((block + block.T) / 2) @ P
-    return A, Scaling(2 * len(rows), plain, scale, tips, T @ P)
+    mix = T @ P[:, P.any(axis=0)]
+    n = p + mix.shape[1]
+    K[:p, p:n] = K[:p, p:] @ mix
+    K[p:n, :p], K[p:n, p:n] = K[:p, p:n].T, mix.T @ K[p:, p:] @ mix
+    return K[:n, :n], Mixing(2 * len(rows), plain, tips, mix)

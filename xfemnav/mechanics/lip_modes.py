@@ -24,8 +24,8 @@ from xfemnav.mechanics.minimise import CONTRADICTION_MM, SETTLED, TOUCH_MM, Cont
 DEPENDENT = 1e-10
 #: Modes of a held lip: along the plane's axes, and away from the other lip.
 PER_LIP = 3
-#: Conditions that are met less exactly than this, in units of their rows, are solved once more.
-EXACT = 1e-13
+#: Conditions that are met less exactly than this, relative, are nearly dependent, and solved once more.
+EXACT = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ class LipModes:
 
     @cached_property
     def _live_contacts(self):
-        """Contacts as rows (g, n) on the scaled unknowns, and those (g,) bool that are not settled by what is held."""
+        """Contacts as rows (g, n) on the unknowns q, and those (g,) bool that are not settled by what is held."""
         G = self.incision.R.rows(self.incision.local(self.contacts.G))
         kept = np.einsum("gn,ng->g", G, self.system.solve(G.T))
         free = np.einsum("gn,ng->g", G, self.system.unheld(G.T))
@@ -146,9 +146,6 @@ class System:
     """A q = b + C' f under C q = d, for any b and d: by the Cholesky factor of A, and that of C's compliance."""
 
     def __init__(self, A, C):
-        size = np.linalg.norm(C, axis=1)
-        self.A, self.size = A, np.where(size > 0, size, 1.0)
-        self.C = C / self.size[:, None]
         # Symmetric: the transpose is in the order that LAPACK wants.
         self.factor, info = lapack.dpotrf(A.T, lower=True)
         if info:
@@ -156,7 +153,11 @@ class System:
                 "E406",
                 "nothing holds the organ, or a piece of it, once it is cut; hold a lip, or ask a run, which says more.",
             )
-        self.Y = blas.dtrsm(1.0, self.factor, self.C.T, lower=True)
+        Y = blas.dtrsm(1.0, self.factor, C.T, lower=True)
+        # Conditions are compared in units of their own compliance.
+        size = np.linalg.norm(Y, axis=0)
+        self.A, self.size = A, np.where(size > 0, size, 1.0)
+        self.C, self.Y = C / self.size[:, None], Y / self.size
         S = self.Y.T @ self.Y
         _, pivot, rank, _ = lapack.dpstrf(S, lower=True, tol=DEPENDENT)
         self.kept = np.sort(pivot[:rank] - 1)
@@ -167,7 +168,7 @@ class System:
         d = d / self.size[:, None]
         q, force = self._once(b, d)
         miss = d - self.C @ q
-        if np.abs(miss).max(initial=0.0) > EXACT:
+        if np.abs(miss).max(initial=0.0) > EXACT * np.abs(d).max(initial=0.0):
             more, extra = self._once(b - self.A @ q + self.C.T @ force, miss)
             q, force = q + more, force + extra
         return q, force / self.size[:, None]
