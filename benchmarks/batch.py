@@ -9,7 +9,6 @@ clock on the wall: only a machine without other work tells something.
 
 from benchmarks.timing import keep, mark, table  # isort: skip (sets the number of threads)
 
-import os
 import shutil
 import subprocess
 import tempfile
@@ -19,7 +18,7 @@ from time import perf_counter
 import nibabel
 import numpy as np
 
-from benchmarks.runs import COMMAND, write_slice
+from benchmarks.runs import COMMAND, INSTALLED, write_slice
 
 BLOCKS, SLICES = 5, 20
 LIMIT = 1 / 1.6
@@ -48,7 +47,7 @@ def seconds(source: Path, jobs: int) -> float:
     with tempfile.TemporaryDirectory() as name:
         start = perf_counter()
         subprocess.run([COMMAND, "batch", source, Path(name) / "out", "-j", str(jobs)], check=True,
-                       env=os.environ | {"XFEMNAV_CACHE": f"{name}/cache"}, stdout=subprocess.DEVNULL)
+                       env=INSTALLED | {"XFEMNAV_CACHE": f"{name}/cache"}, stdout=subprocess.DEVNULL)
         return perf_counter() - start
 
 

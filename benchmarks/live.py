@@ -6,6 +6,8 @@ The rows take turns, so that a busy machine is busy for all. Times are of one th
 processor's own, which other programs disturb less. The table goes to docs/live.md.
 """
 
+from benchmarks.timing import processor  # isort: skip (sets the number of threads)
+
 import argparse
 import os
 import platform
@@ -211,17 +213,8 @@ def _table(clock, session, args, made, worst) -> str:
     libraries = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba", "gmsh", "scikit-fem"))
     lines += ["", f"{len(session.mesh.points)} nodes, {args.size}² pixels, one thread; the session took {made:.1f} s "
                   f"to make. Displacements differ from those of `solve` by at most {worst:.0e} mm. "
-                  f"{_processor()}, {os.cpu_count()} cores, Python {platform.python_version()}, {libraries}."]
+                  f"{processor()}, {os.cpu_count()} cores, Python {platform.python_version()}, {libraries}."]
     return "\n".join(lines)
-
-
-def _processor() -> str:
-    """The processor's own name."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.machine()
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from benchmarks.timing import RESULTS, table
+from benchmarks.timing import RESULTS, processor, table
 
 PAGE = Path("docs/performance.md")
 TITLES = {
@@ -64,9 +64,7 @@ def machine() -> str:
             found.append(f"{name} {version(name)}")
         except PackageNotFoundError:
             found.append(f"{name} absent")
-    processor = next((line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines()
-                      if line.startswith("model name")), platform.machine())
-    return (f"Measured on {os.cpu_count()} cores of {processor}, {platform.system()}, Python "
+    return (f"Measured on {os.cpu_count()} cores of {processor()}, {platform.system()}, Python "
             f"{platform.python_version()}; {', '.join(found)}.\n\n")
 
 

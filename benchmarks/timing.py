@@ -7,6 +7,7 @@ the neighbours. What is compared is run in turns in one process, and the medians
 import ctypes
 import json
 import os
+import platform
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -64,6 +65,15 @@ def _status(name) -> int:
 def exponent(sizes, seconds) -> float:
     """p of the power law seconds ~ size^p that fits best."""
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+
+
+def processor() -> str:
+    """The processor's own name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.machine()
 
 
 def table(head: tuple[str, ...], rows) -> str:
