@@ -1,4 +1,7 @@
-"""Hypothesis draws the same examples in every run of the suite; `make test-all` draws new ones."""
+"""Hypothesis draws the same examples in every run of the suite; `make test-all` draws new ones.
+
+Kernels are those of the code as it is: numba alone would not see a change in a file that another's kernel calls.
+"""
 
 import locale
 import os
@@ -6,6 +9,9 @@ import os
 import pytest
 from hypothesis import settings
 
+from xfemnav.pipeline.kernels import settle_kernel_cache
+
+settle_kernel_cache()  # before kernels are imported
 settings.register_profile("steady", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 

@@ -68,17 +68,18 @@ class Mesh:
     @cached_property
     def edges(self) -> np.ndarray:
         """Unique edges (e, 2), smaller node first."""
-        half = np.sort(self.cells[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-        return np.unique(half, axis=0)
+        one, other = self.cells.ravel(), self.cells[:, [1, 2, 0]].ravel()
+        key = np.unique(np.minimum(one, other) * len(self.points) + np.maximum(one, other))
+        return np.stack(np.divmod(key, len(self.points)), axis=1)
 
     @cached_property
     def neighbours(self) -> np.ndarray:
         """Cell across the edge opposite each local node (m, 3); -1 on the boundary."""
-        half = self.cells[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
-        key = np.sort(half, axis=1) @ np.array([len(self.points), 1])
+        one, other = self.cells[:, [1, 2, 0]].ravel(), self.cells[:, [2, 0, 1]].ravel()
+        key = np.minimum(one, other) * len(self.points) + np.maximum(one, other)
         order = np.argsort(key, kind="stable")
-        same = np.flatnonzero(key[order][1:] == key[order][:-1])
-        across = np.full(len(half), -1)
+        same = np.flatnonzero(np.diff(key[order]) == 0)
+        across = np.full(len(key), -1)
         across[order[same]], across[order[same + 1]] = order[same + 1] // 3, order[same] // 3
         return across.reshape(-1, 3)
 

@@ -35,14 +35,18 @@ class Net:
 
     def size_at(self, x) -> float:
         """Element size mm at the point nearest to x (2,) mm."""
-        return float(self.sizes[np.argmin(np.sum((self.points - x) ** 2, axis=1))])
+        dx, dy = (self.points - x).T
+        return float(self.sizes[np.argmin(dx**2 + dy**2)])
 
     def about(self, path) -> "Net":
         """What lies near a path (k, 2): all within two of the largest elements of its bounding box."""
         reach = 2 * self.sizes.max()
         low, high = path.min(axis=0) - reach, path.max(axis=0) + reach
-        points = ((self.points >= low) & (self.points <= high)).all(axis=1)
-        segments = ((self.segments.max(axis=1) >= low) & (self.segments.min(axis=1) <= high)).all(axis=1)
+        points, segments = True, True
+        for i in (0, 1):
+            x, a, b = self.points[:, i], self.segments[:, 0, i], self.segments[:, 1, i]
+            points &= (x >= low[i]) & (x <= high[i])
+            segments &= (np.maximum(a, b) >= low[i]) & (np.minimum(a, b) <= high[i])
         if not points.any():
             return self
         return Net(self.points[points], self.sizes[points], self.segments[segments], self.segment_sizes[segments])
@@ -54,12 +58,12 @@ class Net:
             return self
         sizes = [np.array([self.size_at(x) for x in path]) for path in paths]
         points = np.concatenate([self.points, *paths])
-        _, first = np.unique(points, axis=0, return_index=True)
+        _, first = np.unique(points.view(complex), return_index=True)
         first = np.sort(first)
         return Net(
             points[first],
             np.concatenate([self.sizes, *sizes])[first],
-            np.concatenate([self.segments, *(np.stack([p[:-1], p[1:]], axis=1) for p in paths)]),
+            np.concatenate([self.segments, *map(_stretches, paths)]),
             np.concatenate([self.segment_sizes, *(np.minimum(h[:-1], h[1:]) for h in sizes)]),
         )
 
@@ -68,7 +72,7 @@ def mesh_net(mesh) -> Net:
     """Nodes and edges of a mesh, with the mean size of the elements about each node."""
     total = np.bincount(mesh.cells.ravel(), np.repeat(mesh.sizes, 3), len(mesh.points))
     h = total / np.maximum(np.bincount(mesh.cells.ravel(), minlength=len(mesh.points)), 1)
-    return Net(mesh.points, h, mesh.points[mesh.edges], h[mesh.edges].min(axis=1))
+    return Net(mesh.points, h, mesh.points[mesh.edges], np.minimum(*h[mesh.edges.T]))
 
 
 def snap_region(net: Net, region, outline) -> tuple[shapely.Geometry, tuple[np.ndarray, ...]]:
@@ -84,15 +88,15 @@ def snap_region(net: Net, region, outline) -> tuple[shapely.Geometry, tuple[np.n
     return region, inner_paths(rings_of(region), outline, SEVER * net.sizes.min())
 
 
-def snap(net: Net, paths, walls, outline) -> list[np.ndarray]:
+def snap(mesh, net: Net, paths, walls=()) -> list[np.ndarray]:
     """Cuts (k, 2) mm snapped to the mesh, to the walls of resections, which are snapped already, and to each other."""
+    rim = mesh.points[mesh.boundary_edges]
     snapped = _one_by_one(net.with_lines(walls), paths)
     for k, path in enumerate(snapped):
         others = [line for line in (*snapped[:k], *snapped[k + 1 :], *walls) if len(line) > 1]
         for end in (0, -1) if len(path) > 1 else ():
             h = net.size_at(path[end])
-            ends_there = outline.distance(shapely.Point(path[end])) <= SEVER * h
-            if not ends_there and not any(_is_on(other, path[end], h) for other in others):
+            if not _is_on(rim, path[end], h) and not any(_is_on(_stretches(other), path[end], h) for other in others):
                 _onto_near_lines([path, *others], path, end, h, _directions(net, path[end], h))
     return snapped
 
@@ -100,8 +104,8 @@ def snap(net: Net, paths, walls, outline) -> list[np.ndarray]:
 def _one_by_one(net, paths):
     snapped = []
     for path in paths:
-        snapped.append(_snapped(net.about(path), path))
         net = net.with_lines(snapped[-1:])
+        snapped.append(_snapped(net.about(path), path))
     return snapped
 
 
@@ -115,7 +119,8 @@ def _snapped(net, path):
 
 def _directions(net, x, h):
     """Unit directions (k, 2) of the mesh's edges through a point (2,) mm."""
-    a, d = net.segments[:, 0], net.segments[:, 1] - net.segments[:, 0]
+    near = net.segments[_boxed(net.segments, x, SNAP * h)]
+    a, d = near[:, 0], near[:, 1] - near[:, 0]
     length = np.linalg.norm(d, axis=1)
     along = ((x - a) * d).sum(axis=1) / length
     off = np.abs(d[:, 0] * (x - a)[:, 1] - d[:, 1] * (x - a)[:, 0]) / length
@@ -160,12 +165,12 @@ def _snap_vertex(x, net, own):
     to_own = np.linalg.norm(own - x, axis=1)
     if to_own.min(initial=np.inf) <= 2 * SNAP * net.sizes[near]:
         return own[np.argmin(to_own)]
-    a, b = net.segments.swapaxes(0, 1)
-    t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)
-    foot = a + t[:, None] * (b - a)
+    boxed = _boxed(net.segments, x, 2 * SNAP * net.segment_sizes.max(initial=0.0))
+    foot, sizes = _feet(net.segments[boxed], x), net.segment_sizes[boxed]
     gap = np.linalg.norm(foot - x, axis=1)
-    near = np.argmin(gap / net.segment_sizes)
-    return foot[near] if gap[near] <= SNAP * net.segment_sizes[near] else x
+    if not (gap <= SNAP * sizes).any():
+        return x
+    return foot[np.argmin(gap / sizes)]
 
 
 def _through_near_nodes(path, net):
@@ -187,29 +192,42 @@ def _through_near_nodes(path, net):
     return path
 
 
-def _nearest_on_path(path, x):
-    a, b = path[:-1], path[1:]
-    t = np.clip(np.einsum("ki,ki->k", x - a, b - a) / np.einsum("ki,ki->k", b - a, b - a), 0, 1)
-    foot = a + t[:, None] * (b - a)
-    return foot[np.argmin(np.sum((foot - x) ** 2, axis=1))]
+def _stretches(path):
+    """The segments (k - 1, 2, 2) of a path (k, 2)."""
+    return np.stack([path[:-1], path[1:]], axis=1)
 
 
-def _is_on(path, x, h):
-    return np.linalg.norm(_nearest_on_path(path, x) - x) <= SEVER * h
+def _boxed(segments, x, reach):
+    """Which of the segments (e, 2, 2) have a point (2,) in their bounding box, or as near as `reach` mm to it."""
+    found = True
+    for i in (0, 1):
+        a, b = segments[:, 0, i], segments[:, 1, i]
+        found &= (np.minimum(a, b) <= x[i] + reach) & (np.maximum(a, b) >= x[i] - reach)
+    return np.flatnonzero(found)
+
+
+def _feet(segments, x):
+    """The points (e, 2) of segments (e, 2, 2) that are nearest to x (2,)."""
+    a, b = segments.swapaxes(0, 1)
+    t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)
+    return a + t[:, None] * (b - a)
+
+
+def _is_on(segments, x, h):
+    """Whether one of the segments (e, 2, 2) passes x (2,) so near that what lies between joins nothing."""
+    near = segments[_boxed(segments, x, 2 * SEVER * h)]
+    return bool((np.linalg.norm(_feet(near, x) - x, axis=1) <= SEVER * h).any())
 
 
 def find_tips(mesh, net: Net, paths, walls=()) -> list[tuple[int, np.ndarray, int]]:
     """Cut ends that are tips, as (cut, path, end): not on the outline, not on another cut or wall, not a loop's end."""
-    a, b = mesh.points[mesh.boundary_edges].swapaxes(0, 1)
-    tips = []
+    rim, tips = mesh.points[mesh.boundary_edges], []
     for k, path in enumerate(paths):
         if len(path) < 2 or np.array_equal(path[0], path[-1]):
             continue
         others = [*paths[:k], *paths[k + 1 :], *walls]
         for end in (0, -1):
             x, h = path[end], net.size_at(path[end])
-            t = np.clip(np.einsum("ei,ei->e", x - a, b - a) / np.einsum("ei,ei->e", b - a, b - a), 0, 1)
-            on_rim = np.linalg.norm(a + t[:, None] * (b - a) - x, axis=1).min() <= SEVER * h
-            if not on_rim and not any(len(other) > 1 and _is_on(other, x, h) for other in others):
+            if not _is_on(rim, x, h) and not any(_is_on(_stretches(other), x, h) for other in others):
                 tips.append((k, path, end))
     return tips

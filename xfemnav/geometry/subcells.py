@@ -8,19 +8,18 @@ The loop of a resection is a cut too; the parts inside it are removed, and what 
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import hypot
 
 import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.bisection import REACH, UNCUT
 from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.dissection import dissect
 from xfemnav.geometry.mesh import Mesh, frozen_array, orient
-from xfemnav.geometry.partition import HERE, Segments, split_cells, touched_cells, triangulate
+from xfemnav.geometry.partition import segments_of
 from xfemnav.geometry.removal import parts_inside, walls
 from xfemnav.geometry.resection import Resection
-from xfemnav.geometry.snapping import SEVER, find_tips, mesh_net, snap, snap_region
+from xfemnav.geometry.snapping import find_tips, mesh_net, snap, snap_region
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,20 +115,20 @@ def embed(mesh: Mesh, cuts: tuple[Cut, ...], resections: tuple[Resection, ...] =
     Raises XfemnavError E311 for a resection that is smaller than the snapping.
     """
     net = mesh_net(mesh)
-    outline = shapely.multilinestrings(shapely.linestrings(mesh.points[mesh.boundary_edges]))
-    region, loops = _snapped_region(net, outline, resections)
-    paths = snap(net, [cut.path for cut in cuts], loops, outline)
-    segments = Segments([*paths, *loops])
+    region, loops = _snapped_region(mesh, net, resections)
+    paths = snap(mesh, net, [cut.path for cut in cuts], loops)
+    segments = segments_of([*paths, *loops])
     ends = [tip for tip in find_tips(mesh, net, paths, loops) if not shapely.contains_xy(region, *tip[1][tip[2]])]
-    polygons = split_cells(mesh, segments, [path[end] for _, path, end in ends])
-    return _assemble(mesh, paths, segments, ends, polygons, [_travel(cuts[k].path, end) for k, _, end in ends],
-                     region, resections)
+    tips = np.array([path[end] for _, path, end in ends]).reshape(-1, 2)
+    travel = [_travel(cuts[k].path, end) for k, _, end in ends]
+    return _assemble(mesh, paths, segments, ends, tips, travel, region, resections)
 
 
-def _snapped_region(net, outline, resections):
+def _snapped_region(mesh, net, resections):
     """All that is taken out, as one snapped region, and the lines that cut it free inside the organ."""
     if not resections:
         return shapely.MultiPolygon(), ()
+    outline = shapely.multilinestrings(shapely.linestrings(mesh.points[mesh.boundary_edges]))
     regions = [snap_region(net, resection.region, outline)[0] for resection in resections]
     for resection, region in zip(resections, regions):
         if region.is_empty:
@@ -147,43 +146,25 @@ def _travel(drawn, end):
     return d / np.linalg.norm(d)
 
 
-def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections):
-    n_cells = len(mesh.cells)
-    part_cell = list(range(n_cells))
-    part_of = {}
-    for c, cell in polygons.items():
-        part_of[c] = [c, *range(len(part_cell), len(part_cell) + len(cell) - 1)]
-        part_cell.extend([c] * (len(cell) - 1))
-    whole = np.ones(n_cells, dtype=bool)
-    whole[list(polygons)] = False
-    corners, part = [mesh.corners[whole]], [np.flatnonzero(whole)]
-    tip_points = [path[end] for _, path, end in ends]
-    touch = []
-    split = [(p, c, [edge[:2] for edge in polygon])
-             for c, cell in polygons.items() for p, polygon in zip(part_of[c], cell)]
-    if split:
-        owner, cell, outlines = zip(*split)
-        triangles = triangulate([np.array(xy) for xy in outlines], tip_points, mesh.sizes[list(cell)])
-        corners += triangles
-        part.append(np.repeat(owner, [len(own) for own in triangles]))
-    for t, tip in enumerate(tip_points):
-        for c in touched_cells(mesh, tip, np.array([1.0, 0.0]), 0.0):
-            for p, polygon in zip(part_of.get(c, [c]), polygons.get(c, [mesh.corners[c]])):
-                xy = np.array([edge[:2] for edge in polygon])
-                if (np.hypot(*(xy - tip).T) < HERE * mesh.sizes[c]).any():
-                    touch.append((t, p))
-    corners, part = np.concatenate(corners), np.concatenate(part)
+def _assemble(mesh, paths, segments, ends, tips, travel, region, resections):
+    split, (owner, triangles), (joins, join_ends), (between, spans), (rim_part, rim_ends), touch = dissect(
+        mesh.corners, mesh.cells, mesh.neighbours, mesh.sizes, segments, tips)
+    whole = np.ones(len(mesh.cells), dtype=bool)
+    whole[split] = False
+    corners = np.concatenate([mesh.corners[whole], triangles.reshape(-1, 3, 2)])
+    part = np.concatenate([np.flatnonzero(whole), owner[:, 0]])
+    part_cell = np.concatenate([np.arange(len(mesh.cells)), split[1:][split[1:] == split[:-1]]])
     removed = parts_inside(region, corners, part, len(part_cell))
-    joins, join_ends = _joins(mesh, polygons, part_of)
+    join_ends, rim_part, rim_ends = join_ends.reshape(-1, 2, 2), rim_part[:, 0], rim_ends.reshape(-1, 2, 2)
+    line, lip_parts = between[:, 0], between[:, 1:3]
+    lip_ends = segments.rows[line, None, :2] + spans[:, :, None] * segments.rows[line, None, 2:4]
     joined = removed[joins[:, 0]] == removed[joins[:, 1]]
-    faces = _lips(mesh, segments, polygons, part_of)
-    gone = removed[np.array([row[3] for row in faces], dtype=int).reshape(-1, 2)]
-    lips = [row for row, k in zip(faces, gone.any(axis=1).tolist()) if not k and row[0] < len(paths)]
+    gone = removed[lip_parts]
+    lips = ~gone.any(axis=1) & (segments.cut[line] < len(paths))
     # A resection's line that merged with another leaves contacts between what stays and what goes: walls as well.
-    bare = [row for row, k in zip(faces, (gone[:, 0] != gone[:, 1]).tolist()) if k]
-    wall_ends = np.concatenate([np.array([row[2] for row in bare]).reshape(-1, 2, 2), join_ends[~joined]])
-    wall_parts = np.concatenate([np.array([row[3] for row in bare], dtype=int).reshape(-1, 2), joins[~joined, :2]])
-    rim_part, rim_ends = _rim(mesh, polygons, part_of)
+    bare = gone[:, 0] != gone[:, 1]
+    wall_ends = np.concatenate([lip_ends[bare], join_ends[~joined]])
+    wall_parts = np.concatenate([lip_parts[bare], joins[~joined, :2]])
     on_rim = ~removed[rim_part]
     return Subcells(
         corners=corners,
@@ -191,162 +172,19 @@ def _assemble(mesh, paths, segments, ends, polygons, travel, region, resections)
         part_cell=part_cell,
         joins=joins[joined],
         join_middle=join_ends[joined].mean(axis=1),
-        lip_cut=[row[0] for row in lips],
-        lip_arc=np.array([row[1] for row in lips]).reshape(-1, 2),
-        lip_ends=np.array([row[2] for row in lips]).reshape(-1, 2, 2),
-        lip_parts=np.array([row[3] for row in lips], dtype=int).reshape(-1, 2),
-        lip_on_edge=np.array([row[4] for row in lips], dtype=bool).reshape(-1, 2),
+        lip_cut=segments.cut[line[lips]],
+        lip_arc=segments.start[line[lips], None] + spans[lips],
+        lip_ends=lip_ends[lips],
+        lip_parts=lip_parts[lips],
+        lip_on_edge=between[lips, 3:],
         rim_part=rim_part[on_rim],
         rim_ends=rim_ends[on_rim],
         tip_cut=[k for k, _, _ in ends],
         tip_end=[end for _, _, end in ends],
-        tips=np.array(tip_points).reshape(-1, 2),
+        tips=tips,
         tip_travel=np.array(travel).reshape(-1, 2),
-        tip_touch=np.array(touch, dtype=int).reshape(-1, 2),
+        tip_touch=touch,
         removed=removed,
         **walls(wall_ends, wall_parts, removed, resections),
         paths=tuple(paths),
     )
-
-
-def _joins(mesh, polygons, part_of):
-    """Contacts (j, 4): part, part, and the two nodes let through ((-1, -1) inside a cell: all).
-
-    And their ends (j, 2, 2) mm, the first part on their left.
-    """
-    cell, local = np.nonzero(mesh.neighbours > np.arange(len(mesh.cells))[:, None])
-    other = mesh.neighbours[cell, local]
-    i, k = mesh.cells[cell, (local + 1) % 3], mesh.cells[cell, (local + 2) % 3]
-    touched = np.zeros(len(mesh.cells), dtype=bool)
-    touched[list(polygons)] = True
-    plain = ~(touched[cell] | touched[other])
-    joins, ends = [], []
-    facets = _facets_on_edges(polygons, part_of)
-    cut = np.flatnonzero(~plain)
-    beyond = np.argmax(mesh.neighbours[other[cut]] == cell[cut, None], axis=1)
-    table = np.stack([cell[cut], local[cut], other[cut], beyond, i[cut], k[cut]], axis=1).tolist()
-    for (c, e, d, f, a, b), ((x0, y0), (x1, y1)), h in zip(
-        table, mesh.points[np.stack([i, k], axis=1)[cut]].tolist(), mesh.sizes[cell[cut]].tolist()
-    ):
-        length = hypot(x1 - x0, y1 - y0)
-        dx, dy = (x1 - x0) / length, (y1 - y0) / length
-        sides = []
-        for n, edge in ((c, e), (d, f)):
-            sides.append([(0.0, length, n)] if n not in polygons else [
-                (*sorted(((x - x0) * dx + (y - y0) * dy, (u - x0) * dx + (v - y0) * dy)), p)
-                for x, y, u, v, p in facets.get((n, edge), ())
-            ])
-        for p, q, low, high in _overlaps(*sides, SEVER * h):
-            joins.append((p, q, a, b))
-            ends.append([(x0 + t * dx, y0 + t * dy) for t in (low, high)])
-    for c, cell_polygons in polygons.items():
-        lines = {}
-        for p, polygon in zip(part_of[c], cell_polygons):
-            for n, (x, y, tag, by) in enumerate(polygon):
-                if tag >= 0 and by == UNCUT:
-                    x1, y1 = polygon[(n + 1) % len(polygon)][:2]
-                    lines.setdefault(tag, []).append((p, x, y, x1, y1))
-        for on_line in lines.values():
-            _, x, y, x1, y1 = on_line[0]
-            length = hypot(x1 - x, y1 - y)
-            dx, dy = (x1 - x) / length, (y1 - y) / length
-            sides = ([], [])
-            for p, xa, ya, xb, yb in on_line:
-                ta, tb = (xa - x) * dx + (ya - y) * dy, (xb - x) * dx + (yb - y) * dy
-                sides[int(tb < ta)].append((min(ta, tb), max(ta, tb), p))
-            for p, q, low, high in _overlaps(*sides, SEVER * mesh.sizes[c]):
-                joins.append((p, q, -1, -1))
-                ends.append([(x + t * dx, y + t * dy) for t in (low, high)])
-    whole = np.stack([cell, other, i, k], axis=1)[plain]
-    return (
-        np.concatenate([whole, np.array(joins, dtype=int).reshape(-1, 4)]),
-        np.concatenate([mesh.points[whole[:, 2:]], np.array(ends).reshape(-1, 2, 2)]),
-    )
-
-
-def _facets_on_edges(polygons, part_of):
-    """Uncut facets (x, y, x', y', part) on each edge (cell, opposite local node) of the cells in parts."""
-    facets = {}
-    for c, cell in polygons.items():
-        for p, polygon in zip(part_of[c], cell):
-            for n, (x, y, tag, by) in enumerate(polygon):
-                if tag < 0 and by == UNCUT:
-                    u, v = polygon[(n + 1) % len(polygon)][:2]
-                    facets.setdefault((c, -1 - tag), []).append((x, y, u, v, p))
-    return facets
-
-
-def _overlaps(one, two, least):
-    """Pairs of parts whose intervals overlap by more than `least`, and that overlap."""
-    found = {}
-    for a0, a1, p in one:
-        for b0, b1, q in two:
-            low, high = max(a0, b0), min(a1, b1)
-            if high - low > least:
-                found.setdefault((p, q), (low, high))
-    return [(*pair, *overlap) for pair, overlap in sorted(found.items())]
-
-
-def _lips(mesh, segments, polygons, part_of):
-    """Pieces of the cuts between the parts on their two sides, in travel order."""
-    sides = {}
-    for c, cell in polygons.items():
-        for p, polygon in zip(part_of[c], cell):
-            for n, (x, y, tag, by) in enumerate(polygon):
-                if by == UNCUT:
-                    continue
-                ax, ay, dx, dy, _ = segments.rows[by]
-                x1, y1 = polygon[(n + 1) % len(polygon)][:2]
-                ta, tb = (x - ax) * dx + (y - ay) * dy, (x1 - ax) * dx + (y1 - ay) * dy
-                # Parts have their facets counter-clockwise: those on the left run with the travel.
-                sides.setdefault(by, ([], []))[int(ta > tb)].append((min(ta, tb), max(ta, tb), p, c, tag))
-    lips = []
-    for s, (left, right) in sorted(sides.items()):
-        ax, ay, dx, dy, _ = segments.rows[s]
-        left.sort()
-        right.sort()
-        j = 0
-        for a0, a1, p, c, tag in left:
-            while j and right[j - 1][1] > a0:
-                j -= 1
-            while j < len(right) and right[j][0] < a1:
-                b0, b1, q, other, _ = right[j]
-                low, high = max(a0, b0), min(a1, b1)
-                if high - low > REACH * mesh.sizes[c]:
-                    ends = [(ax + t * dx, ay + t * dy) for t in (low, high)]
-                    on_edge = [tag < 0 or _on_an_edge(mesh, (c, other), x) for x in ends]
-                    arcs = (segments.start[s] + low, segments.start[s] + high)
-                    lips.append((segments.cut[s], arcs, ends, (p, q), on_edge))
-                j += 1
-    return lips
-
-
-def _on_an_edge(mesh, cells, x):
-    for c in cells:
-        (ax, ay), (bx, by), (cx, cy) = mesh.corners[c].tolist()
-        u, v = x
-        depth = min((ex - sx) * (v - sy) - (ey - sy) * (u - sx) for sx, sy, ex, ey in
-                    ((ax, ay, bx, by), (bx, by, cx, cy), (cx, cy, ax, ay)))
-        if depth < SEVER * mesh.sizes[c] ** 2:
-            return True
-    return False
-
-
-def _rim(mesh, polygons, part_of):
-    """Facets of the organ's outline and the parts behind them, tissue on the left."""
-    cell, local = np.nonzero(mesh.neighbours < 0)
-    split = np.zeros(len(mesh.cells), dtype=bool)
-    split[list(polygons)] = True
-    # Each facet as one or more rows, in the order of the boundary.
-    order, parts = [np.flatnonzero(~split[cell])], [cell[~split[cell]]]
-    ends = [mesh.corners[cell[:, None], (local[:, None] + [1, 2]) % 3][~split[cell]]]
-    for row in np.flatnonzero(split[cell]).tolist():
-        c, k = int(cell[row]), int(local[row])
-        for p, polygon in zip(part_of[c], polygons[c]):
-            for n, (x, y, tag, _) in enumerate(polygon):
-                if tag == -1 - k:
-                    order.append([row])
-                    parts.append([p])
-                    ends.append(np.array([[(x, y), polygon[(n + 1) % len(polygon)][:2]]]))
-    order = np.argsort(np.concatenate(order), kind="stable")
-    return np.concatenate(parts).astype(int)[order], np.concatenate(ends).reshape(-1, 2, 2)[order]

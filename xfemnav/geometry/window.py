@@ -45,17 +45,23 @@ def near_cells(mesh: Mesh, path, radius: float = 0.0) -> np.ndarray:
     path = np.asarray(path, float)
     middle, reach = mesh.reaches
     low, high = path.min(axis=0), path.max(axis=0)
-    boxed = np.flatnonzero(((middle >= low - reach) & (middle <= high + reach)).all(axis=1))
-    corners, slack = mesh.corners[boxed], np.maximum(SLACK * mesh.sizes[boxed], LIP)
+    boxed, reach = True, reach[:, 0]
+    for x, least, most in zip(middle.T, low, high):
+        boxed &= (x >= least - reach) & (x <= most + reach)
+    boxed = np.flatnonzero(boxed)
+    middle, reach = middle[boxed], reach[boxed]
     near = np.zeros(len(boxed), dtype=bool)
     for a, b in zip(path[:-1], path[1:]):
         length = np.hypot(*(b - a))
-        travel = (b - a) / length
-        along = (corners - a) @ travel
-        off = (corners - a) @ np.array([-travel[1], travel[0]])
-        near |= (
-            (along.max(axis=1) >= -slack) & (along.min(axis=1) <= length + slack)
-            & (off.max(axis=1) >= -slack) & (off.min(axis=1) <= slack)
+        dx, dy = (b - a) / length
+        x, y = (middle - a).T
+        chosen = np.flatnonzero(np.abs(y * dx - x * dy) <= reach)
+        x, y = (mesh.corners[boxed[chosen]] - a).T
+        along, off = x * dx + y * dy, y * dx - x * dy
+        slack = np.maximum(SLACK * mesh.sizes[boxed[chosen]], LIP)
+        near[chosen] |= (
+            (along.max(axis=0) >= -slack) & (along.min(axis=0) <= length + slack)
+            & (off.max(axis=0) >= -slack) & (off.min(axis=0) <= slack)
         )
     if radius > 0:
         gap = np.linalg.norm(mesh.corners[:, :, None] - path[[0, -1]], axis=3).min(axis=(1, 2))
