@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
+from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import orient
 from xfemnav.mechanics.branch import branch_gradients
 from xfemnav.mechanics.quadrature import collapsed_rule, polar_rule, tip_rule
@@ -148,3 +149,10 @@ def test_a_needle_beside_a_tip_costs_no_more_for_being_thin(width):
     points, weights, _ = tip_rule(needle, np.zeros((1, 2)))
     assert weights.sum() == pytest.approx(width, rel=1e-9)
     assert len(points) < 60_000
+
+
+@pytest.mark.parametrize("tip", [(0.3, 0.0), (0.3, 0.2)])
+def test_a_tip_that_is_no_corner_is_refused(tip):
+    """On an edge or inside, where no division of the triangle makes it one."""
+    with pytest.raises(XfemnavError, match="E407"):
+        tip_rule(UNIT, np.array([tip]))

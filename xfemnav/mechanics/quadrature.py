@@ -208,6 +208,6 @@ def _distance(x, tips):
         u, v = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1]
         for k in range(len(tips)):
             p, q = tips[k, 0] - x[a, 0], tips[k, 1] - x[a, 1]
-            t = min(max((p * u + q * v) / (u * u + v * v), 0.0), 1.0)
+            t = min(max((p * u + q * v) / max(u * u + v * v, 1e-300), 0.0), 1.0)
             nearest = min(nearest, np.hypot(p - t * u, q - t * v))
     return nearest
