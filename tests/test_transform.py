@@ -182,3 +182,8 @@ def test_letters_without_a_checksum_are_left_alone(tmp_path):
         path.write_bytes(data[:n])
         clear_times(path)
         assert path.read_bytes() == data[:n]
+
+
+@pytest.mark.parametrize("gaps", FIELDS)
+def test_a_known_motion_gives_the_same_field(gaps):
+    assert_array_equal(backward(slice_in(), REST, REST, MOVED, gaps, MOTION), FIELDS[gaps])

@@ -15,7 +15,7 @@ from xfemnav.imaging.gaps import bridged, extended
 from xfemnav.imaging.hdf5 import clear_times
 from xfemnav.imaging.slices import Slice
 from xfemnav.imaging.vectors import vector_image
-from xfemnav.imaging.warp import covered, pull_back
+from xfemnav.imaging.warp import PullBack, covered, pull_back
 
 MARGIN = 2    # pixels of nothing around the tissue: a field that ends with 0 is the same to all, however they go on
 
@@ -37,15 +37,16 @@ def roomy(slice: Slice, points) -> Slice:
                    origin=slice.origin - before * slice.spacing, affine=affine)
 
 
-def backward(slice: Slice, organ, rest, moved, gaps: str = "bridged") -> np.ndarray:
+def backward(slice: Slice, organ, rest, moved, gaps: str = "bridged", motion: PullBack | None = None) -> np.ndarray:
     """Where the tissue in each pixel of `slice` rested minus where it is now, (n1, n2, 2) mm, from triangles at `rest`
     and `moved`, both (t, 3, 2) mm.
 
     Pixels of the `organ`, triangles (m, 3, 2) mm at rest, that hold no tissue now are `gaps`, "bridged" or "extended"
-    (see `imaging.gaps`). What is neither organ nor tissue is 0.
+    (see `imaging.gaps`). What is neither organ nor tissue is 0. `motion` is the triangles' on these pixels, where it is
+    known.
     """
     grid = slice.origin, slice.spacing, slice.values.shape
-    motion = pull_back(rest, moved, *grid)
+    motion = motion or pull_back(rest, moved, *grid)
     empty = covered(organ, *grid) & ~motion.tissue
     if gaps == "extended":
         return extended(motion, empty)

@@ -70,10 +70,10 @@ def publish(value, inputs, folder):
     write_nifti(folder / "overlap.nii.gz", to_nifti(slice, _twice(value, inputs), np.uint8))
     write_nifti(folder / "lips.nii.gz", to_nifti(slice, lips, np.uint8))
     write_nifti(folder / "field.nii.gz", vector_nifti(slice, value.field @ slice.axes[:2]))
-    _write_transforms(inputs, folder, inputs.config.warp.transforms)
+    _write_transforms(value.pull_back, inputs, folder, inputs.config.warp.transforms)
 
 
-def _write_transforms(inputs, folder, which):
+def _write_transforms(motion, inputs, folder, which):
     """The motion for other programs: the ITK transform of viewers, and with "all" every other form and direction."""
     import numpy as np
 
@@ -86,10 +86,11 @@ def _write_transforms(inputs, folder, which):
         return
     slice, _ = inputs.value("segment")
     frame = roomy(slice, np.concatenate([mesh.corners, solution.moved]))
-    bridged = backward(frame, mesh.corners, solution.rest, solution.moved)
+    known = motion if frame.values.shape == slice.values.shape else None  # there was room already
+    bridged = backward(frame, mesh.corners, solution.rest, solution.moved, "bridged", known)
     write_transform(folder / "transform.h5", frame, bridged)
     if which == "all":
-        extended = backward(frame, mesh.corners, solution.rest, solution.moved, "extended")
+        extended = backward(frame, mesh.corners, solution.rest, solution.moved, "extended", known)
         write_transform(folder / "transform-extended.h5", frame, extended)
         write_nrrd(folder / "field-nrrd.nrrd", frame, bridged, "resampling")
         write_nifti(folder / "field-nifti.nii.gz", field_nifti(frame, bridged))
