@@ -1,5 +1,6 @@
 """The phantom's opening as a solver without error would return it, on slices of any plane, tilt and storage order."""
 
+import nibabel as nib
 import numpy as np
 import SimpleITK as sitk
 
@@ -34,8 +35,8 @@ def turned(degrees) -> np.ndarray:
 
 
 def itk_image(slice: Slice, values, folder) -> sitk.Image:
-    """`values` (n1, n2) on the slice's pixels as ITK reads them from a file."""
-    (folder / "values.nii").write_bytes(to_nifti(slice, values, np.float64).to_bytes())
+    """`values` (n1, n2) on the slice's pixels as ITK reads them from a file of nibabel's."""
+    nib.save(to_nifti(slice, values, np.float64), folder / "values.nii")
     return sitk.ReadImage(str(folder / "values.nii"), sitk.sitkFloat64)
 
 

@@ -82,7 +82,7 @@ def assert_same(path, name: str, folder):
     """The file at `path` gives the updated image and the moved landmarks of the grid."""
     at, values, rest, now = truth(name)
     slice = middle_of(read_image(path))
-    written = to_nifti(slice, warped(slice).updated).as_nibabel()
+    written = to_nifti(slice, warped(slice).updated)
     assert abs(shown_at(written, at) - values).max() < 1e-4 * values.max()
     write_points(folder / "landmarks.mrk.json", PointSet("Fiducial", "F", rest, ("",) * len(rest)))
     found = moved(slice, read_points(folder / "landmarks.mrk.json").points)

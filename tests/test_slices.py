@@ -82,7 +82,7 @@ def test_a_tilted_gantry_is_no_shear_of_the_slice():
     slice = take_slice(ramp(affine=affine_of(linear)), index=3)
     assert_shows(slice)
     assert slice.thickness == pytest.approx(3.0)
-    header = to_nifti(slice, slice.values).as_nibabel().header
+    header = to_nifti(slice, slice.values).header
     assert int(header["qform_code"]) == 0 and int(header["sform_code"]) == 2  # no quaternion holds a tilt
 
 
@@ -187,7 +187,7 @@ def test_a_written_slice_is_read_as_the_same_slice(tmp_path, plane):
     for order, flips in ORDERS[::3]:
         image = stored(ramp(), order, flips)
         slice = take_slice(image, plane=plane, index=1)
-        written = to_nifti(slice, slice.values, np.float32).as_nibabel()
+        written = to_nifti(slice, slice.values, np.float32)
         shape = list(image.values.shape)
         shape[slice.array_axes[2]] = 1
         assert written.shape == tuple(shape) and written.get_data_dtype() == np.float32
@@ -203,7 +203,7 @@ def test_written_bytes_repeat_and_codes_are_kept():
     for code, wanted in ((4, 4), (0, 1)):
         image = image_of(ramp().values, ramp().affine, code=code)
         slice = take_slice(image, index=1)
-        header = to_nifti(slice, slice.values > 0, np.uint8).as_nibabel().header
+        header = to_nifti(slice, slice.values > 0, np.uint8).header
         assert int(header["sform_code"]) == int(header["qform_code"]) == wanted
         assert to_nifti(slice, slice.values).to_bytes() == to_nifti(slice, slice.values).to_bytes()
 
@@ -214,7 +214,7 @@ def test_values_of_the_same_grid_in_any_order_are_found():
     slice = take_slice(ramp(), plane="coronal", index=3)
     for order, flips in ORDERS[::5]:
         np.testing.assert_array_equal(values_on(stored(ramp(), order, flips), slice), slice.values)
-    one = to_nifti(slice, slice.values, np.float64).as_nibabel()
+    one = to_nifti(slice, slice.values, np.float64)
     np.testing.assert_allclose(values_on(image_of(one.get_fdata(), one.affine), slice), slice.values)
 
 
@@ -278,7 +278,7 @@ def test_mask_of_a_slice_or_of_the_volume(tmp_path):
     np.testing.assert_array_equal(read_mask(saved(tmp_path, organ, image.affine), slice), wanted)
     other = stored(image_of(organ, image.affine), (2, 0, 1), (True, False, True))
     np.testing.assert_array_equal(read_mask(saved(tmp_path, other.values, other.affine), slice), wanted)
-    (tmp_path / "one.nii").write_bytes(to_nifti(slice, wanted, np.uint8).to_bytes())
+    to_nifti(slice, wanted, np.uint8).to_filename(tmp_path / "one.nii")
     np.testing.assert_array_equal(read_mask(tmp_path / "one.nii", slice), wanted)
     assert code_of(read_mask, saved(tmp_path, organ[1:], image.affine), slice) == "E204"
     coarse = image.affine @ np.diag([2, 2, 1, 1.0])

@@ -23,7 +23,7 @@ def real_head(position=20, seed=0):
 
 def template_of(slice, mask, move):
     """Image and mask of a template that shows `slice` where `move` (4, 4) takes its world frame."""
-    one = to_nifti(slice, slice.values).as_nibabel()
+    one = to_nifti(slice, slice.values)
     return image_of(one.get_fdata(), move @ one.affine), image_of(slice.to_storage(mask), move @ one.affine)
 
 

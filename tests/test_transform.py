@@ -112,7 +112,7 @@ def test_room_moves_no_pixel(storage):
     assert room.values.sum() == pytest.approx(slice.values.sum())
     inside = (points - room.origin) / room.spacing
     assert (inside >= MARGIN - 1e-9).all() and (inside <= np.array(room.values.shape) - 1 - MARGIN + 1e-9).all()
-    image = to_nifti(room, room.values, np.float64).as_nibabel()
+    image = to_nifti(room, room.values, np.float64)
     voxel = np.argwhere(image.get_fdata() == slice.values[5, 9])[0]
     world = image.affine @ [*voxel, 1]
     assert_allclose(world[:3], slice.to_world((slice.origin + slice.spacing * (5, 9))[None])[0], atol=1e-4)

@@ -60,7 +60,7 @@ def nifti(data: bytes) -> bool:
         found = refused_or(take_slice, image, plane=plane, index=0)
         if found is not None:
             np.testing.assert_allclose(found.axes @ found.axes.T, np.eye(3), atol=1e-9)
-            to_nifti(found, found.values).to_bytes()
+            to_nifti(found, found.values)
     return True
 
 

@@ -139,8 +139,8 @@ def _label_type(carried, companion) -> np.dtype:
 
 def _image(carried, frame: Slice, companion, dtype):
     """`carried` (n1, n2, nc) as NIfTI with the axes of the companion's own: 3, 4, or 5 with an intent."""
-    like = to_nifti(frame, np.zeros(frame.values.shape), np.uint8).as_nibabel()
-    intent, data = getattr(companion, "intent", 0), frame.to_storage(carried)
+    like, intent = to_nifti(frame, np.zeros(frame.values.shape), np.uint8), getattr(companion, "intent", 0)
+    data = frame.to_storage(carried)
     if companion.values.ndim == 3:
         data = data[..., 0]
     elif intent:

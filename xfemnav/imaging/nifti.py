@@ -5,11 +5,11 @@ The header is checked field by field before any voxel is touched, because reader
 Field meanings: NIfTI-1.1 and NIfTI-2 header files, https://nifti.nimh.nih.gov.
 """
 
+import nibabel
 import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.formats import Header, check_affine
-from xfemnav.imaging.nifti_header import best_affine, unpacked
 
 SCALAR_TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
 COLOUR_TYPES = {128: "RGB", 2304: "RGBA"}
@@ -17,19 +17,18 @@ COMPLEX_TYPES = {32: "complex64", 1792: "complex128", 2048: "complex256"}
 MM_PER_UNIT = {1: 1e3, 3: 1e-3}  # metre, micron; 0 (unknown) and 2 are mm
 NO_POSITION = "its qform and sform codes are 0"
 
-FRAME_CODES = range(6)  # unknown, scanner, aligned, Talairach, MNI 152, another template
-
-_KINDS = {348: (344, b"n+1\0"), 540: (4, b"n+2\0")}  # length of the header: where its magic stands, and what it is
+_KINDS = {348: (nibabel.Nifti1Header, b"n+1\0"), 540: (nibabel.Nifti2Header, b"n+2\0")}
 
 
 def _kind(head: bytes):
-    """(length, byte order) of the header that `head` starts with, or None."""
+    """(header class, byte order, length) of the header that `head` starts with, or None."""
     for order, name in (("<", "little"), (">", "big")):
         length = int.from_bytes(head[:4], name)
         if length in _KINDS and len(head) >= length:
-            start, magic = _KINDS[length]
+            header_class, magic = _KINDS[length]
+            start = 344 if length == 348 else 4
             if head[start : start + 4] == magic:
-                return length, order
+                return header_class, order, length
     return None
 
 
@@ -39,7 +38,8 @@ def recognises(head: bytes) -> bool:
 
 
 def _raw(head: bytes):
-    return unpacked(head, *_kind(head))
+    header_class, order, length = _kind(head)
+    return header_class(head[:length], endianness=order, check=False)
 
 
 def read_header(head: bytes, name: str) -> Header:
@@ -62,14 +62,14 @@ def read_frame(head: bytes, name: str) -> tuple[np.ndarray, int]:
     if raw["pixdim"][0] not in (-1, 1):
         raw["pixdim"][0] = 1  # the standard's reading of a missing qfac
     try:
-        affine = best_affine(raw)
-    except ValueError as error:
+        affine = raw.get_best_affine().astype(float)
+    except (ValueError, nibabel.spatialimages.HeaderDataError) as error:
         raise XfemnavError("E110", f"affine of {name} cannot be used: {error}. Fix its qform, or give the pixel "
                                    "sizes: --spacing 0.9,0.9.") from None
     affine[:3] *= MM_PER_UNIT.get(int(raw["xyzt_units"]) & 7, 1)
     check_affine(affine, name)
     code = int(raw["sform_code"]) or int(raw["qform_code"])
-    return affine, code if code in FRAME_CODES else 1  # 1: some scanner's frame
+    return affine, code if code in nibabel.nifti1.xform_codes.value_set() else 1  # 1: some scanner's frame
 
 
 def _shape(raw, name: str) -> tuple[int, ...]:
@@ -88,11 +88,11 @@ def _dtype(raw, name: str) -> np.dtype:
     if code not in SCALAR_TYPES or np.dtype(SCALAR_TYPES[code]).itemsize * 8 != bits:
         raise XfemnavError("E105", f"data type {code} with {bits} bits in the header of {name} is no scalar type of "
                                    "NIfTI. Convert it again from its source.")
-    return np.dtype(SCALAR_TYPES[code]).newbyteorder(raw.dtype["dim"].base.byteorder)
+    return np.dtype(SCALAR_TYPES[code]).newbyteorder(raw.endianness)
 
 
 def _offset(raw, name: str) -> int:
-    least, offset = int(raw["sizeof_hdr"]) + 4, float(raw["vox_offset"])
+    least, offset = raw.single_vox_offset, float(raw["vox_offset"])
     if offset == 0:
         return least
     if not (least <= offset < 2**40 and offset == int(offset)):

@@ -66,7 +66,7 @@ def _images(folder: Path, name: str, write, tolerance=EXACT, orders=tuple(ORDERS
         rest, moved = scene_triangles(scene, frame)
         grid = frame.origin, frame.spacing, frame.values.shape
         made = update(frame.values, *grid[:2], covered(rest, *grid), pull_back(rest, moved, *grid))
-        nibabel.save(to_nifti(frame, made.updated).as_nibabel(), folder / "updated.nii.gz")
+        nibabel.save(to_nifti(frame, made.updated), folder / "updated.nii.gz")
         found = nibabel.load(folder / "updated.nii.gz")
         voxels = np.moveaxis(np.indices(found.shape), 0, -1)
         world = voxels @ found.affine[:3, :3].T + found.affine[:3, 3]
@@ -144,7 +144,7 @@ def check_field_nrrd(folder: Path) -> None:
 
 def check_field_nifti(folder: Path) -> None:
     frame, rest, moved, inner = _slice_and_motion()
-    nibabel.save(field_nifti(frame, backward(frame, rest, rest, moved)).as_nibabel(), folder / "f.nii.gz")
+    nibabel.save(field_nifti(frame, backward(frame, rest, rest, moved)), folder / "f.nii.gz")
     _maps("field .nii.gz", _read_field(folder / "f.nii.gz"), OBLIQUE.now(inner), inner)
 
 

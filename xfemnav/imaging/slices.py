@@ -11,11 +11,11 @@ and 3D Slicer show them. What is given in mm does not depend on the order.
 from dataclasses import dataclass
 from itertools import permutations
 
+import nibabel
 import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.nifti_image import NiftiImage
 from xfemnav.imaging.reading import Image
 
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal
@@ -176,12 +176,18 @@ def plane_points(slice: Slice, points, space: str = "ras") -> np.ndarray:
     return plane
 
 
-def to_nifti(slice: Slice, values, dtype=np.float32) -> NiftiImage:
+def to_nifti(slice: Slice, values, dtype=np.float32) -> nibabel.Nifti1Image:
     """`values` (n1, n2) as a 3-D image with one slice, on the input's grid and in its storage order."""
     affine = slice.affine.copy()
     affine[:3, 3] += slice.index * affine[:3, slice.array_axes[2]]
-    # A position that was not stated is now, or readers would centre the one slice anew.
-    return NiftiImage(slice.to_storage(np.asarray(values)).astype(dtype), affine, slice.frame_code or 1)
+    image = nibabel.Nifti1Image(slice.to_storage(np.asarray(values)).astype(dtype), affine)
+    code = slice.frame_code or 1  # a position that was not stated is now, or readers would centre the one slice anew
+    image.set_sform(affine, code)
+    image.set_qform(affine, code)
+    if not np.allclose(image.get_qform(), affine, atol=1e-3):
+        image.set_qform(affine, 0)  # tilted slices: a quaternion cannot hold the shear between them
+    image.header.set_xyzt_units("mm")
+    return image
 
 
 def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.ndarray:

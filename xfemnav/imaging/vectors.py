@@ -6,12 +6,10 @@ SPREAD thicknesses apart: points half a slice off the plane are inside even for 
 centres, and those of the next slice are outside even for ITK, which goes on for half a step.
 """
 
-from dataclasses import replace
-
+import nibabel
 import numpy as np
 import SimpleITK as sitk
 
-from xfemnav.imaging.nifti_image import VECTOR, NiftiImage
 from xfemnav.imaging.slices import Slice, to_nifti
 
 SPREAD = 0.6                             # between 1/2 and 2/3
@@ -41,7 +39,7 @@ def write_nrrd(path, slice: Slice, field, kind: str) -> None:
     sitk.WriteImage(image, str(path), useCompression=True)
 
 
-def field_nifti(slice: Slice, field) -> NiftiImage:
+def field_nifti(slice: Slice, field) -> nibabel.Nifti1Image:
     """`field` (n1, n2, 2) mm, plane axes, as NIfTI of intent 1007 and shape (i, j, k, 1, 3), float32.
 
     Pixels and storage order are the input's, with three slices; vectors are LPS mm. The normal of the slice is
@@ -56,15 +54,22 @@ def field_nifti(slice: Slice, field) -> NiftiImage:
     affine = np.eye(4)
     affine[:3, list(slice.array_axes)] = columns
     affine[:3, 3] = slice.to_world(first[None])[0] - columns[:, 2]
-    return NiftiImage(data, affine, slice.frame_code or 1, VECTOR)
+    image = nibabel.Nifti1Image(data, affine)
+    image.set_sform(affine, slice.frame_code or 1)
+    image.set_qform(affine, slice.frame_code or 1)
+    image.header.set_xyzt_units("mm")
+    image.header.set_intent("vector")
+    return image
 
 
-def vector_nifti(slice: Slice, vectors) -> NiftiImage:
+def vector_nifti(slice: Slice, vectors) -> nibabel.Nifti1Image:
     """`vectors` (n1, n2, 3) mm, world RAS, as an image of shape (i, j, k, 1, 3) on the input's grid, one slice.
 
     For nibabel and numpy. Intent 1007 (VECTOR) is read as LPS, so x and y are stored with the other sign; 1006 would
     mean RAS, but ITK's readers and writers do not agree on it.
     """
     parts = [to_nifti(slice, sign * np.asarray(vectors)[..., i]) for i, sign in enumerate(LPS)]
-    data = np.stack([part.values for part in parts], axis=-1)[:, :, :, None, :]
-    return replace(parts[0], values=data, intent=VECTOR)
+    data = np.stack([np.asarray(part.dataobj) for part in parts], axis=-1)[:, :, :, None, :]
+    image = nibabel.Nifti1Image(data, parts[0].affine, parts[0].header)
+    image.header.set_intent("vector")
+    return image
