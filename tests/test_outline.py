@@ -8,7 +8,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import binary_fill_holes, gaussian_filter
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.imaging.masks import one_piece
@@ -61,9 +61,10 @@ def test_outline_of_any_blob_is_one_simple_loop(seed, size, share):
     polygon = shapely.Polygon(loop)
     assert polygon.is_valid and polygon.exterior.is_ccw and len(loop) >= 4
     assert np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1).min() > 0
-    # Only strands thinner than the smoothing and what hangs on them may be lost.
+    # What lies inside is more than half organ after the smoothing, or a hole. Strands thinner than it may be lost.
     inside = shapely.contains_xy(polygon, *centres(mask.shape, (1.0, 1.2)).reshape(-1, 2).T).reshape(mask.shape)
-    assert (inside & ~mask).sum() < 0.15 * mask.sum()
+    smooth = gaussian_filter(np.pad(mask, 5).astype(float), 1.0) > 0.499  # corners 1e-3 pixels apart are one
+    assert not (inside & ~binary_fill_holes(smooth)[5:-5, 5:-5]).any()
 
 
 def test_outline_moves_with_the_origin_and_distance_does_not():
