@@ -29,7 +29,7 @@ FAULTS = (
     ("targets not permuted with their conditions", "mechanics/constraints.py", "(d[block_rows] / scale)[pivot]", "d[block_rows] / scale"),
     ("angles about a tip not unwrapped", "mechanics/branch.py", "reference + np.mod(raw - reference + np.pi, 2 * np.pi) - np.pi", "raw"),
     ("a facet of the cut still joined", "geometry/bisection.py", "low, high = max(min(t0, t1), 0.0), min(max(t0, t1), length)", "low, high = max(min(t0, t1), 0.1), min(max(t0, t1), length)"),
-    ("measured sides of a mouth exchanged", "mechanics/outline.py", "mouth - 1e-7 * sense", "mouth + 1e-7 * sense"),
+    ("measured sides of a mouth exchanged", "mechanics/measured.py", "mouth - 1e-7 * sense", "mouth + 1e-7 * sense"),
     ("Nitsche's traction with the wrong sign", "mechanics/nitsche.py", "m = -retraction.side * q.normals", "m = retraction.side * q.normals"),
     ("mode II read with the wrong sign", "mechanics/reduction.py", "M[1, 1, 1], M[1, 2, 1] = kappa + 1, 1, 1 - kappa, 1", "M[1, 1, 1], M[1, 2, 1] = kappa + 1, 1, kappa - 1, 1"),
 )
