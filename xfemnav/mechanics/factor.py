@@ -60,9 +60,10 @@ def by_cholmod(A) -> Factor:
     from sksparse.cholmod import CholmodNotPositiveDefiniteError, analyze
 
     A = csc_matrix(A)
+    found = analyze(A, mode="supernodal", ordering_method="amd")  # the other mode takes indefinite matrices too
     try:
-        # The other mode takes indefinite matrices too. A factorisation that failed says so when it is used.
-        return _unless_singular(A, analyze(A, mode="supernodal").cholesky(A))
+        found.cholesky_inplace(A)  # one that failed says so when it is used
+        return _unless_singular(A, found)
     except CholmodNotPositiveDefiniteError as error:
         raise NotPositiveDefinite(str(error)) from None
 
