@@ -121,6 +121,14 @@ def test_lips_that_touch_press_on_each_other(mesh, organ):
     assert np.abs(free.U - live.U).max() > 1e-3
 
 
+def test_contact_at_a_bent_tip_knows_only_the_elements_near_it(mesh, organ):
+    """The window's largest element is not the organ's."""
+    bent = cut_in(mesh, (0, 76), (2, 48), (-1, 39), (0, 38))
+    whole, live, answer = both(mesh, organ, bent, (-1.6, -2.7), None)
+    assert whole.contact_force.max() > 0
+    assert_same(mesh, whole, live, answer)
+
+
 def test_the_compliance_grows_with_cuts_that_go_farther(mesh):
     organ = condense(mesh, BRAIN, SKULL, PLAN, reach_mm=3.0, mouths=PLAN[:1] * 70 / 76)
     known = len(organ.compliance.nodes)

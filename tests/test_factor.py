@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.sparse import csc_array
 
 from tests.meshes import BRAIN, jittered, space_of
-from xfemnav.mechanics.elasticity import stiffness
+from xfemnav.mechanics.elasticity import Tissue, stiffness
 from xfemnav.mechanics.factor import NotPositiveDefinite, by_cholmod, by_superlu, factor
 
 without = pytest.mark.skipif(importlib.util.find_spec("sksparse") is None, reason="the extra cholmod is not installed")
@@ -51,3 +51,18 @@ def test_what_can_move_rigidly_is_refused(way, hold):
         way(K[free][:, free])
     free = np.delete(np.arange(K.shape[0]), [0, 1, 2 * np.argmax(mesh.points[:, 1])])
     way(K[free][:, free])
+
+
+@pytest.mark.parametrize("way", [*WAYS, partial(by_superlu, semidefinite=True)])
+@pytest.mark.parametrize("ratio", [1e6, 1e10])
+def test_a_stiff_body_in_soft_tissue_is_no_rigid_motion(way, ratio):
+    """It hardly resists being moved, beside what it resists being deformed; but the tissue holds it."""
+    mesh = jittered(30.0, 20.0, 0.5, 0.25, seed=4)
+    middle = mesh.points[mesh.cells].mean(axis=1)
+    young = np.where(np.hypot(*(middle - [15, 10]).T) < 6, 3.0 * ratio, 3.0)
+    A = csc_array(stiffness(space_of(mesh), Tissue(young, np.full(len(young), 0.45))))
+    free = np.repeat(mesh.points[:, 1] > 1e-9, 2)
+    A = A[free][:, free]
+    b = np.random.default_rng(1).normal(size=A.shape[0])
+    x = way(A).solve(b)
+    assert np.linalg.norm(A @ x - b) < 1e-14 * ratio * np.linalg.norm(b)

@@ -88,3 +88,13 @@ def test_no_intensity_is_given_in_tissue_that_weighs():
     for gravity, tips in ((None, 1), (Gravity((0.0, -1.0)), 0)):
         problem = pose(mesh, (cut,), Material(1.0, 0.3), Skull("fixed", 0.5, 0.1), gravity=gravity)
         assert len(solve(problem).tips) == tips
+
+
+def test_the_disc_keeps_off_what_weighs():
+    """Tissue above the waterline weighs, below it floats without weight."""
+    mesh = distmesh(rectangle(2, 2), 0.05)
+    cut = place_cut([[-1.1, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
+    gravity = Gravity((0.0, -1.0), 1000.0, 1000.0, fluid_level_mm=-0.5)
+    held = Skull("fixed", 0.5, 0.1)
+    (tip,) = solve(pose(mesh, (cut,), Material(1.0, 0.3), held, gravity=gravity)).tips
+    assert 0.3 < tip.radius_mm < 0.5

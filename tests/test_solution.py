@@ -128,6 +128,20 @@ def test_work_of_the_retractors_is_the_energy(lips):
         assert np.dot(r.force_mN_per_mm, move) > 0 and r.mean_pressure_kPa > 0  # one pushes to move tissue
 
 
+@pytest.mark.parametrize("tip_enrichment", ["topological", "geometric", "none"])
+@pytest.mark.parametrize("lips", ["mortar", "pointwise"])
+def test_a_blade_among_tip_functions_does_its_work(lips, tip_enrichment):
+    """Clapeyron again: the force is that of the functions as they are combined, not of each by itself."""
+    move = (3.5, -1.0)
+    blade = Retraction(0, 1, displacement_mm=move, blade=(0.0, 0.8))
+    how = {"lips": "free", "lip_constraint": lips, "tip_enrichment": tip_enrichment}
+    problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, (blade,), **how)
+    solution = solve(problem)
+    U = solution.U.ravel()
+    work = np.dot(solution.retractor[0].force_mN_per_mm, move)
+    assert_allclose(work, 2 * solution.energy + U @ (problem.springs @ U), rtol=1e-8)
+
+
 @pytest.mark.parametrize("lips", ["mortar", "nitsche", "pointwise"])
 def test_retractors_and_skull_are_in_balance(lips):
     """The nodal forces at the skull, from the elastic stiffness alone, and the retractors' add up to nothing."""

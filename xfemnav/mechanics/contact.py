@@ -117,7 +117,8 @@ def _towards_tips(space, cut):
     """Arc (k,) mm of pieces that halve towards the cut's tips: Gauss points follow the branch functions there."""
     sub = space.subcells
     own = np.flatnonzero(sub.lip_cut == cut)
-    h, (start, stop) = space.mesh.sizes.max(), (sub.lip_arc[own].min(), sub.lip_arc[own].max())
+    h = space.mesh.sizes[sub.part_cell[sub.lip_parts[own]]].max()
+    start, stop = sub.lip_arc[own].min(), sub.lip_arc[own].max()
     pieces = 4 * h * 0.5 ** np.arange(20)
     ends = sub.tip_end[sub.tip_cut == cut]
     return np.concatenate([start + pieces if end == 0 else stop - pieces for end in ends] or [np.empty(0)])

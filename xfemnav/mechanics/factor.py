@@ -13,8 +13,8 @@ from scipy.sparse.linalg import splu
 
 #: Columns that SuperLU works on at once: with its own 20, a mesh's factor takes a quarter longer.
 PANEL = 4
-#: A matrix whose smallest eigenvalue is below this part of its largest entry is singular but for rounding.
-SINGULAR = 1e-14
+#: A motion whose energy is below this part of the sum of its terms' sizes has none but for rounding.
+SINGULAR = 8 * np.finfo(float).eps
 
 
 class NotPositiveDefinite(ArithmeticError):
@@ -70,8 +70,10 @@ def by_cholmod(A) -> Factor:
 
 def _unless_singular(A, solve):
     """The factor, if what it answers to an arbitrary load tells of no motion that A does not resist."""
-    # Each eigenvector has about 1 of the load, so the answer is at least as large as the softest one's compliance.
-    smallest = 1 / np.linalg.norm(solve(np.random.default_rng(0).normal(size=A.shape[0])))
-    if not smallest > SINGULAR * A.diagonal().max(initial=0.0):
-        raise NotPositiveDefinite(f"smallest eigenvalue about {smallest:.1e}")
+    # The load has a share of every eigenvector, and the answer is mostly the softest one.
+    motion = solve(np.random.default_rng(0).normal(size=A.shape[0]))
+    motion = motion / np.linalg.norm(motion)
+    energy, terms = motion @ (A @ motion), np.abs(motion) @ (abs(A) @ np.abs(motion))
+    if not energy > SINGULAR * terms:
+        raise NotPositiveDefinite(f"a motion with the energy {energy:.1e} of terms {terms:.1e}")
     return Factor(solve)

@@ -80,7 +80,7 @@ class FreeTip:
 def free_tips(problem: Problem, U, force) -> tuple[FreeTip, ...]:
     """The stress intensity factors of every tip with a free disc of at least two elements about it.
 
-    None where forces act inside of the tissue, which the integral leaves out: weight, and what holds a loose piece.
+    The disc keeps off forces inside of the tissue, which the integral leaves out: weight, and what holds a loose piece.
     force (g,) mN per mm: the multipliers of the problem's contacts.
     """
     sub, table, found = problem.subcells, problem.space.enrichment, []
@@ -88,10 +88,8 @@ def free_tips(problem: Problem, U, force) -> tuple[FreeTip, ...]:
     if problem.means is not None:
         pushed[problem.means.C.indices // 2] = True
     for tip, x in enumerate(sub.tips):
-        if pushed[table.dof[touched_parts(sub, tip)]].any():
-            continue
         h = problem.mesh.sizes[sub.part_cell[touched_parts(sub, tip)]].max()
-        radius = 0.9 * _clearance(problem, tip)
+        radius = 0.9 * _clearance(problem, tip, pushed[table.dof].any(axis=1))
         if radius >= 2 * h:
             material = problem.material.at(sub.part_cell[touched_parts(sub, tip)[0]])
             pressure = partial(lip_pressure, problem.contacts, force, sub.tip_cut[tip]) if np.any(force) else None
@@ -100,12 +98,14 @@ def free_tips(problem: Problem, U, force) -> tuple[FreeTip, ...]:
     return tuple(found)
 
 
-def _clearance(problem, tip):
-    """Distance mm from a tip to the nearest outline, tip, cut or tissue but its own, or held or loaded lip."""
+def _clearance(problem, tip, pushed):
+    """Distance mm from a tip to the nearest outline, tip, cut, tissue but its own, held or loaded lip, or part that is
+    `pushed` (p,) bool."""
     sub, x = problem.subcells, problem.subcells.tips[tip]
     own = sub.part_cell[touched_parts(sub, tip)[0]]
     D = problem.material.stiffness_in(sub.part_cell[sub.part])
     other = np.abs(D - problem.material.at(own).stiffness).max(axis=(1, 2)) > 1e-9 * D.max()
+    other |= pushed[sub.part]
     rim = np.concatenate([sub.rim_ends, sub.wall_ends])
     distance = [shapely.linestrings(rim), shapely.points(np.delete(sub.tips, tip, axis=0))]
     distance.append(shapely.polygons(sub.corners[other]))

@@ -141,8 +141,8 @@ def _factored(A, semidefinite):
     except NotPositiveDefinite as error:
         raise XfemnavError(
             "E407",
-            f"the linear system is not positive definite ({error}), so its solution is no minimum of energy; "
-            "this is a bug, please report it with the run's parameters.",
+            f"the linear system is not positive definite ({error}), so its solution is no minimum of energy; are some "
+            "tissues 1e12 times as stiff as others? If not, this is a bug: please report it with the run's parameters.",
         ) from None
 
 

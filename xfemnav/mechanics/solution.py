@@ -137,8 +137,8 @@ def solve(problem: Problem) -> Solution:
     elastic = stiffness(problem.space, problem.material)
     K = (elastic + problem.springs).tocsc()
     basis = scaled_basis(problem, K)
-    constraints = problem.constraints
-    U0, T = eliminate(replace(constraints, C=constraints.C @ basis))
+    constraints = replace(problem.constraints, C=problem.constraints.C @ basis)
+    U0, T = eliminate(constraints)
     U0, T = basis @ U0, (basis @ T).tocsc()
     linear = minimise(K, problem.load, U0, T, problem.contacts, problem.means, problem.lip_constraint != "nitsche")
     if problem.model == "linear":
@@ -166,7 +166,7 @@ def solve(problem: Problem) -> Solution:
         energy=found.energy,
         **triangles,
         outline=moved_outline(loop, triangles["rest"], triangles["moved"]),
-        retractor=_forces(problem, reaction, U),
+        retractor=_forces(problem, constraints, basis.T @ reaction, U),
         contact_force=found.force,
         contact=() if touching is None else contact_forces(touching, found.force),
         min_gap_mm=None if touching is None else float((touching.G @ found.U + touching.gap).min()),
@@ -245,13 +245,14 @@ def _moved(problem, rest, part, U):
     return rest + (problem.space.basis_in(rest.reshape(-1, 2), np.repeat(part, 3)) @ U).reshape(rest.shape)
 
 
-def _forces(problem, reaction, U):
-    """What each retractor does to its lip.
+def _forces(problem, constraints, reaction, U):
+    """What each retractor does to its lip, from the conditions and the reaction on the unknowns of `scaled_basis`.
 
+    Where branch functions are combined, a single one of them is not in equilibrium.
     The work of its forces on a unit displacement away from the other lip is the integral of the normal pressure.
     """
     forces, space = [], problem.space
-    lambdas = multipliers(problem.constraints, reaction) if (problem.constraints.group >= 0).any() else None
+    lambdas = multipliers(constraints, reaction) if (problem.constraints.group >= 0).any() else None
     # A condition's weights on the partition of unity give the length of lip that its multiplier acts on.
     weights = problem.constraints.C @ np.repeat(problem.enrichment.kind < BRANCH, 2)
     for group, (retraction, span) in enumerate(zip(problem.retractions, problem.spans)):
