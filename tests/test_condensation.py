@@ -1,12 +1,15 @@
 """A condensed organ answers as the whole one: compliance, moved cuts in every setting, contact; and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from data_synthetic import domains
-from tests.meshes import BRAIN, cut_in
+from tests.meshes import BRAIN, cut_in, outline
 from xfemnav.errors import XfemnavError
+from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.sizing import SizeField
 from xfemnav.geometry.window import near_cells, window
@@ -127,6 +130,21 @@ def test_contact_at_a_bent_tip_knows_only_the_elements_near_it(mesh, organ):
     whole, live, answer = both(mesh, organ, bent, (-1.6, -2.7), None)
     assert whole.contact_force.max() > 0
     assert_same(mesh, whole, live, answer)
+
+
+def test_lips_against_the_skull_contradict_it_as_in_a_run(mesh):
+    """Without a craniotomy the mouth's nodes are fixed: pointwise lips that hold them may only stay where they are."""
+    organ = condense(mesh, BRAIN, SKULL, PLAN)
+    cut = place_cut(np.array([(0.0, 76.0), (1.0, 36.0)]), outline(mesh), craniotomy=False)
+    blades = tuple(Retraction(0, side, displacement_mm=(side * 2.0, 0.0), blade=(0.0, 0.7)) for side in (1, -1))
+    with pytest.raises(XfemnavError, match="E403"):
+        solve(pose(mesh, (cut,), BRAIN, SKULL, blades, lip_constraint="pointwise"))
+    modes = lip_modes(incise(organ, (cut,)), blades, "pointwise")
+    with pytest.raises(XfemnavError, match="E403"):
+        modes.free(np.array([2.0, 0.0, 0.0, -2.0, 0.0, 0.0]))
+    assert np.abs(modes.free(np.zeros(6)).u).max() == 0
+    held = [replace(blade, blade=(0.2, 0.7)) for blade in blades]
+    assert np.abs(lip_modes(incise(organ, (cut,)), held, "pointwise").missed).max(initial=0.0) < 1e-9
 
 
 def test_the_compliance_grows_with_cuts_that_go_farther(mesh):

@@ -1,6 +1,7 @@
 """The table of basis functions against a brute-force reading of the paper's definitions of J and K (Sect. 4)."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from tests import cuts
 from tests.meshes import cut_in, disc, grid, jittered, outline, space_of
 from xfemnav.geometry.cut import Cut, place_cut
 from xfemnav.geometry.distmesh import distmesh
-from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, STANDARD
+from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, STANDARD, enrich
 
 THIN = 1e-9  # mm: the slit that stands for the cut when supports are taken apart by polygon arithmetic
 
@@ -171,6 +172,19 @@ def test_an_internal_cut_shorter_than_an_element_keeps_no_jump_beyond_its_ends()
         held = supports(mesh)
         end = shapely.Point(cut.path[[0, -1]][other])
         assert not any(held[i].contains(end) for i in nodes)
+
+
+def test_tip_functions_ask_the_cut_and_not_the_outline_where_it_ends():
+    """With no facet of the outline named, the nodes within a radius are the same: of a mouth, and of two tips."""
+    mesh = disc()
+    for cut in (cut_in(mesh, (3, 80), (1.7, 12.3)), cut_in(mesh, (-9.0, 2.0), (9.0, 3.0), internal=True)):
+        sub = space_of(mesh, cut).subcells
+        bare = replace(sub, rim_part=sub.rim_part[:0], rim_ends=sub.rim_ends[:0])
+        found, expected = (enrich(mesh, each, "geometric", tip_radius_mm=1e3) for each in (bare, sub))
+        assert np.array_equal(found.node, expected.node)
+        # The functions of a tip end before another tip; a mouth does not stop them.
+        far = np.linalg.norm(mesh.points[found.node[found.tip == 0]] - sub.tips[0], axis=1).max()
+        assert (far > cut.length) == cut.mouth
 
 
 @pytest.mark.parametrize("name", sorted(cuts.POSITIONS))

@@ -1,5 +1,6 @@
 """A session answers as runs do: the same cut, blades, image and forces, whatever moved before; and what it refuses."""
 
+import contextlib
 import doctest
 from pathlib import Path
 from runpy import run_path
@@ -10,11 +11,14 @@ from numpy.testing import assert_allclose
 from small import CUT, brain, write
 
 import xfemnav
+from data_synthetic import domains
 from xfemnav import Session, XfemnavError
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.cut import place_cut
+from xfemnav.geometry.distmesh import distmesh
 from xfemnav.imaging.warp import covered, pull_back, update
 from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.incision import OutOfReach
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose
@@ -184,6 +188,58 @@ def test_a_cut_that_fails_leaves_the_one_before(session):
         assert session.forces() == before[2]
     session.open(left=1.0, right=1.0, blade=(0.0, 0.7))
     assert_allclose(2 * session.nodes, before[1], atol=1e-12)
+
+
+def test_tip_functions_reach_the_skull_across_the_organ():
+    """Geometric tip functions of a long cut change what the skull holds far from it."""
+    mesh, path = distmesh(domains.disc(70.0), 6.0), np.array([[0.0, 75.0], [1.0, -54.0]])
+    session = Session(mesh, corridor=[[0, 75], [0, 30]], tip_enrichment="geometric")
+    with pytest.warns(xfemnav.XfemnavWarning, match="W315"):
+        session.cut(path)
+    session.open(left=3.0, right=3.0)
+    cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
+    blades = tuple(Retraction(0, side, normal_mm=3.0, blade=(0.0, 0.8)) for side in (1, -1))
+    whole = solve(pose(mesh, (cut,), Material(), Skull(), blades, tip_enrichment="geometric"))
+    assert_allclose(session.nodes, whole.U[: len(mesh.points)], atol=SAME_MM)
+
+
+@pytest.mark.parametrize("place, fails", [
+    ("incision.incise", OutOfReach), ("live_motion.LiveMotion", KeyboardInterrupt), ("incision.incise", MemoryError)])
+def test_whatever_fails_leaves_the_cut_before(monkeypatch, place, fails):
+    session = Session(distmesh(domains.disc(70.0), 6.0), corridor=[[0, 75], [0, 30]])
+    session.cut([[0, 75], [0, 30]])
+    session.open(left=2.0, right=2.0)
+    before = session.nodes, session.forces(), dict(session.__dict__)
+
+    def broken(*_):
+        raise fails
+
+    monkeypatch.setattr(f"xfemnav.mechanics.{place}", broken)
+    with pytest.raises(XfemnavError if fails is OutOfReach else fails) as caught, \
+            pytest.warns() if fails is OutOfReach else contextlib.nullcontext():
+        session.cut([[0, 75], [2, 32]])
+    assert fails is not OutOfReach or caught.value.code == "E780"
+    assert session.__dict__ == before[2]
+    monkeypatch.undo()
+    session.open(left=2.0, right=2.0)
+    assert np.array_equal(session.nodes, before[0]) and session.forces() == before[1]
+
+
+@pytest.mark.parametrize("flags", [{"internal": True}, {"craniotomy": False}])
+def test_tip_functions_within_a_radius_of_any_cut(flags, tmp_path):
+    """Inside the organ no facet of the outline is near; through closed bone none that the cut sets free."""
+    mesh = distmesh(domains.disc(70.0), 6.0)
+    path = np.array([[-20.0, 10.0], [15.0, 4.0]] if flags.get("internal") else [[0.0, 75.0], [0.0, 45.0]])
+    (name, value), = flags.items()
+    scenario = tmp_path / "cut.toml"
+    scenario.write_text(f"xfemnav = 1\n[[cut]]\npoints = {path.tolist()}\n{name} = {str(value).lower()}\n")
+    session = Session(mesh, scenario=scenario, tip_enrichment="geometric")
+    session.cut(path)
+    session.open(left=1.0, right=1.0, blade=(0.4, 0.6))
+    cut = place_cut(path, mesh.points[mesh.boundary_loops[0]], **flags)
+    blades = tuple(Retraction(0, side, normal_mm=1.0, blade=(0.4, 0.6)) for side in (1, -1))
+    whole = solve(pose(mesh, (cut,), Material(), Skull(), blades, tip_enrichment="geometric"))
+    assert_allclose(session.nodes, whole.U[: len(mesh.points)], atol=SAME_MM)
 
 
 def test_what_needs_a_cut_or_an_image_says_so(session):

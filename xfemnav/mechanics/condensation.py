@@ -16,9 +16,11 @@ import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
+from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.locate import Buckets, bucket
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.subcells import Subcells, embed
+from xfemnav.geometry.window import near_cells
 from xfemnav.mechanics.constraints import Constraints, eliminate
 from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
 from xfemnav.mechanics.enrichment import enrich
@@ -128,9 +130,11 @@ class Condensation:
 
 
 def condense(
-    mesh: Mesh, material: Material | Tissue, skull: Skull, path, *, reach_mm: float = 6.0, mouths=(), most: int = 1000
+    mesh: Mesh, material: Material | Tissue, skull: Skull, path, *, reach_mm: float = 6.0, mouths=(), tips=(),
+    tip_radius_mm: float = 0.0, most: int = 1000
 ) -> Condensation:
-    """Condense the organ for cuts that stay within `reach_mm` of a `path` (k, 2) mm, with `mouths` (m, 2) mm.
+    """Condense the organ for cuts that stay within `reach_mm` of a `path` (k, 2) mm, with `mouths` (m, 2) mm and with
+    tip functions up to `tip_radius_mm` from `tips` (t, 2) mm.
 
     The compliance of the `most` nodes nearest to the path, of those within reach, is worked out at once.
     """
@@ -141,6 +145,9 @@ def condense(
     if len(mouths):
         gap = np.linalg.norm(ends[:, :, None] - np.asarray(mouths), axis=3).min(axis=(1, 2))
         near |= gap < _grip(skull) + reach_mm + FACETS * longest
+    if len(tips):
+        gap = np.linalg.norm(ends[:, :, None] - np.asarray(tips), axis=3).min(axis=(1, 2))
+        near |= gap < tip_radius_mm + reach_mm + FACETS * longest
     found = Condensation(mesh, material, skull, near)
     distance = _distance(line, mesh.points)
     order = np.argsort(distance, kind="stable")[:most]
@@ -152,6 +159,12 @@ def condense(
     known = np.flatnonzero(nodes & ~found.held)
     found.compliance.among(known[np.argsort(mesh.points[known] @ [-along[1], along[0]])])
     return found
+
+
+def tip_reach(mesh: Mesh, cut: Cut) -> float:
+    """Distance mm from a tip of the cut that its geometric functions do not pass: see `default_radius`."""
+    h = mesh.sizes[near_cells(mesh, cut.path)].max()
+    return float(max(cut.length / 5, 4 * h) + h)
 
 
 class Compliance:

@@ -83,7 +83,7 @@ def eliminate(constraints: Constraints) -> tuple[np.ndarray, csc_array]:
     at = C.indices[C.indptr[single]]
     U0[at] = d[single] / C.data[C.indptr[single]]
     fixed[at] = True
-    _refuse_contradiction(C[single] @ U0 - d[single], d)
+    refuse_contradiction(C[single] @ U0 - d[single], d)
     rest = np.setdiff1d(np.arange(len(d)), single)
     C, d = C[rest], d[rest] - C[rest] @ U0
     size = _row_norms(C)
@@ -91,7 +91,7 @@ def eliminate(constraints: Constraints) -> tuple[np.ndarray, csc_array]:
     C.eliminate_zeros()
     # A row that acts on fixed unknowns alone, but for rounding, holds or contradicts them.
     settled = _row_norms(C) <= DEPENDENT * size
-    _refuse_contradiction(d[settled] / size[settled], constraints.d)
+    refuse_contradiction(d[settled] / size[settled], constraints.d)
     C, d = C[np.flatnonzero(~settled)], d[~settled]
     free = np.flatnonzero(~fixed)
     involved = np.unique(C.indices)
@@ -105,7 +105,7 @@ def eliminate(constraints: Constraints) -> tuple[np.ndarray, csc_array]:
         rank = int((np.abs(np.diag(R)) > DEPENDENT).sum())
         target = (d[block_rows] / scale)[pivot]
         y = solve_triangular(R[:rank, :rank], target[:rank], trans="T")
-        _refuse_contradiction(R[:rank, rank:].T @ y - target[rank:], target)
+        refuse_contradiction(R[:rank, rank:].T @ y - target[rank:], target)
         U0[block_columns] = Q[:, :rank] @ y
         Z = Q[:, rank:]
         rows.append(np.repeat(block_columns, Z.shape[1]))
@@ -132,7 +132,8 @@ def _blocks(C):
             yield rows, columns
 
 
-def _refuse_contradiction(mismatch, d):
+def refuse_contradiction(mismatch, d) -> None:
+    """Raise E403 where conditions are missed by `mismatch` (k,) mm, of what `d` (m,) mm asks."""
     if len(mismatch) and np.abs(mismatch).max() > 1e-6 * max(1.0, np.abs(d).max(initial=0)):
         raise XfemnavError(
             "E403",

@@ -254,15 +254,15 @@ def _within_radius(mesh, subcells, dof, middle, tip, radius):
 
 
 def _behind(mesh, subcells, tip):
-    """Distance mm that keeps the enriched cells before the cut's other end; no limit when that is a mouth.
+    """Distance mm that keeps the enriched cells before the cut's other end; no limit when that is no tip, but a mouth.
 
     Beyond the other end the angle about this tip has no cut to jump on.
     """
-    other = subcells.paths[subcells.tip_cut[tip]][-1 - subcells.tip_end[tip]]
-    rim = subcells.rim_ends.reshape(-1, 2)
-    h = mesh.sizes[subcells.part_cell[touched_parts(subcells, tip)]].max()
-    if np.linalg.norm(rim - other, axis=1).min() < HERE * h:
+    end = -1 - subcells.tip_end[tip]
+    if not ((subcells.tip_cut == subcells.tip_cut[tip]) & (subcells.tip_end == end)).any():
         return np.inf
+    other = subcells.paths[subcells.tip_cut[tip]][end]
+    h = mesh.sizes[subcells.part_cell[touched_parts(subcells, tip)]].max()
     return np.linalg.norm(other - subcells.tips[tip]) - 1.5 * h
 
 

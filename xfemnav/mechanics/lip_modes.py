@@ -13,7 +13,7 @@ from scipy.linalg import blas, lapack
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.constraints import Constraints, stack
+from xfemnav.mechanics.constraints import Constraints, refuse_contradiction, stack
 from xfemnav.mechanics.contact import lip_contacts
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.incision import Incision
@@ -47,7 +47,8 @@ class LipModes:
 
     blades (r,): Retractions that name cut, side and blade; spans (r, 2) mm: what they hold. conditions: those of the
     blades, then those of the skull; their data for a unit of each mode are d (m, 3 r) mm. u (2 a, 3 r) mm: the
-    unknowns of each mode, and multipliers (m, 3 r) mN per mm of the conditions.
+    unknowns of each mode, and multipliers (m, 3 r) mN per mm of the conditions; missed (k, 3 r) mm: how far each is
+    from the conditions that were left out because others imply them, or the skull does.
     """
 
     incision: Incision
@@ -59,9 +60,11 @@ class LipModes:
     system: "System"
     u: np.ndarray
     multipliers: np.ndarray
+    missed: np.ndarray
 
     def free(self, amounts) -> Answer:
-        """The answer when mode m is taken `amounts` (3 r,) times and lips pass through each other."""
+        """The answer when mode m is taken `amounts` (3 r,) times and lips pass through each other. Raises E403."""
+        refuse_contradiction(self.missed @ amounts, amounts)
         return self._answer(self.u @ amounts, self.multipliers @ amounts)
 
     def opening(self, amounts) -> float:
@@ -150,8 +153,9 @@ class System:
         self.factor, info = lapack.dpotrf(A.T, lower=True)
         if info:
             raise XfemnavError(
-                "E406",
-                "nothing holds the organ, or a piece of it, once it is cut; hold a lip, or ask a run, which says more.",
+                "E407",
+                "the stiffness of the cut organ is lost in rounding: tissue beside the cut is too much stiffer than "
+                "the rest for a session; make a run of it.",
             )
         Y = blas.dtrsm(1.0, self.factor, C.T, lower=True)
         # Conditions are compared in units of their own compliance.
@@ -193,7 +197,7 @@ class System:
 def lip_modes(
     incision: Incision, blades: tuple[Retraction, ...], lip_constraint: str = "mortar", hold_tip: bool = False
 ) -> LipModes:
-    """Hold the lips that the `blades` name, whatever they do with them. Raises XfemnavError E402, E406."""
+    """Hold the lips that the `blades` name, whatever they do with them. Raises XfemnavError E402, E407."""
     space = incision.space
     units = [replace(blade, displacement_mm=None, normal_mm=1.0) for blade in blades]
     whole = lip_constraint == "pointwise"
@@ -213,6 +217,12 @@ def lip_modes(
             d[at, PER_LIP * group + i] = weights[at] * (axis[at] == i)
         d[at, PER_LIP * group + 2] = own.d
         start = at.stop
-    system = System(incision.A, incision.R.rows(incision.local(conditions.C)))
+    C, R = incision.local(conditions.C), incision.R
+    size = np.linalg.norm(C, axis=1)
+    # A row that acts on what the skull fixes, but for rounding, is left out.
+    acts = np.linalg.norm(C[:, np.concatenate([R.plain, R.tips])], axis=1) > DEPENDENT * size
+    system = System(incision.A, np.where(acts[:, None], R.rows(C), 0.0))
     q, multipliers = system.constrained(np.zeros((len(incision.A), d.shape[1])), d)
-    return LipModes(incision, blades, spans, conditions, weights, d, system, incision.R @ q, multipliers)
+    u, dropped = R @ q, np.setdiff1d(np.arange(len(d)), system.kept)
+    missed = (d[dropped] - C[dropped] @ u) / size[dropped, None]
+    return LipModes(incision, blades, spans, conditions, weights, d, system, u, multipliers, missed)

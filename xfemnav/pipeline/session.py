@@ -65,7 +65,7 @@ class Session:
         before = dict(self.__dict__)
         try:
             self._cut(path)
-        except XfemnavError:  # all is as it was
+        except BaseException:  # all is as it was
             self.__dict__.clear()
             self.__dict__.update(before)
             raise
@@ -78,7 +78,8 @@ class Session:
     def open(self, left=None, right=None, *, blade: tuple[float, float] = BLADE) -> None:
         """Move the lips: (dx, dy) plane mm, or one number, mm away from the other lip; None leaves a lip to itself.
 
-        Each blade holds the part `blade` of the cut, from the mouth. Raises E402, E405 and E406 as a run.
+        Each blade holds the part `blade` of the cut, from the mouth. Raises E402, E403 and E405 as a run, and E407
+        where tissue beside the cut is so stiff that it wants a run.
         """
         self._refuse_uncut()
         moves = {side: np.atleast_1d(np.asarray(move, float)) for side, move in ((1, left), (-1, right))
@@ -158,6 +159,9 @@ class Session:
                 warn("W315", "the cut has left the session's corridor, and the organ is condensed anew about it.")
                 self._condense(placed)
                 incision = incise(self._organ, (placed,), how)
+        except OutOfReach:
+            raise XfemnavError("E780", f"cut '{NAME}' changes tissue that the skull holds far from it, which a session "
+                                       "cannot do; use smaller elements there, or make a run of it.") from None
         except CutThrough:
             raise XfemnavError("E314", f"cut '{NAME}' goes right through the tissue, which a session cannot do; let it "
                                        "end inside, or make a run of it.") from None
@@ -204,13 +208,17 @@ class Session:
 
     def _condense(self, plan) -> None:
         """Condense the organ about a planned cut, uncut and at rest."""
-        from xfemnav.mechanics.condensation import condense
+        from xfemnav.mechanics.condensation import condense, tip_reach
         from xfemnav.mechanics.live_motion import LiveMotion, Soup
         from xfemnav.mechanics.outline import Skull
 
         settings, mouths = self._settings, plan.path[:1] if plan.mouth and plan.craniotomy else ()
         skull = Skull(settings.skull, settings.craniotomy_mm, settings.skull_ramp_mm)
-        self._organ = condense(self.mesh, self._material, skull, plan.path, reach_mm=self.reach_mm, mouths=mouths)
+        tips, radius = plan.path[-1:] if plan.mouth else plan.path[[0, -1]], 0.0
+        if settings.tip_enrichment == "geometric":
+            radius = tip_reach(self.mesh, plan)
+        self._organ = condense(self.mesh, self._material, skull, plan.path, reach_mm=self.reach_mm, mouths=mouths,
+                               tips=tips, tip_radius_mm=radius)
         self._soup = Soup(self._organ)
         self._motion, self._pulled, self._forces = LiveMotion(
             self._soup, np.zeros((len(self.mesh.points), 2)), np.empty((0, 2))), None, {}
