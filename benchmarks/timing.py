@@ -14,8 +14,9 @@ from pathlib import Path
 from statistics import median
 from time import process_time
 
-import numpy as np
+from xfemnav.pipeline.kernels import settle_kernel_cache
 
+settle_kernel_cache()  # or numba would take kernels of other code for ours
 RESULTS = Path("benchmarks/results")
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before the libraries start their threads
     if os.environ.setdefault(name, "1") != "1":
@@ -64,6 +65,8 @@ def _status(name) -> int:
 
 def exponent(sizes, seconds) -> float:
     """p of the power law seconds ~ size^p that fits best."""
+    import numpy as np  # not before the number of threads is set
+
     return float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
 
 
@@ -83,7 +86,7 @@ def table(head: tuple[str, ...], rows) -> str:
 
 
 def _shown(value) -> str:
-    if not isinstance(value, float | np.floating):
+    if not isinstance(value, float):
         return str(value)
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 

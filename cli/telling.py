@@ -65,9 +65,9 @@ class Teller:
         complain("waiting for another run to leave the output folder ...")
 
     def compiling(self) -> None:
-        """A stage is computed in a run that found no compiled kernels."""
+        """A stage is computed for the first time by this code."""
         if not self.compiles and not self.quiet:
-            complain("compiling the numerical kernels, once for this version: half a minute or so ...")
+            complain("compiling the numerical kernels: half a minute or so in all ...")
         self.compiles = True
 
     def warnings(self, record: dict) -> None:

@@ -228,15 +228,16 @@ def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
     (toy / "geometry" / "caller.py").write_text(
         kernel.format("from xfemnav.geometry.helper import helper", "caller", "helper()"))
     command = ("from xfemnav.pipeline.kernels import settle_kernel_cache; settle_kernel_cache()\n"
-               "from xfemnav.pipeline.kernels import first_use; new = first_use()\n"
-               "from xfemnav.geometry.caller import caller; print(caller(), new, first_use())")
+               "from xfemnav.pipeline.kernels import compiling; new = []\n"
+               "from xfemnav.geometry.caller import caller\n"
+               "with compiling('mesh', lambda: new.append(1)): print(caller(), bool(new))")
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     for value in (1, 2):
         (toy / "geometry" / "helper.py").write_text(kernel.format("", "helper", value))
         for new in (True, False):
             got = subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True,
                                  check=True)
-            assert got.stdout.split() == [str(value), str(new), "False"]
+            assert got.stdout.split() == [str(value), str(new)]
     old, forgotten = tmp_path / f"{kernels.NAME}old", tmp_path / f"{kernels.NAME}forgotten"
     for folder in (old, forgotten):
         folder.mkdir()

@@ -11,7 +11,7 @@ from xfemnav.geometry.mesh import frozen_array, orient
 #: A triangle is subdivided until it is no larger than this times its distance to the nearest tip.
 NEAR = 1.0
 NEEDLE = 0.3  # a triangle with less area than this, times half its longest edge squared, is a needle
-DEEPEST, MOST = 200, 1_000_000  # most times that a triangle is divided, and most pieces of all
+DEEPEST, MOST = 200, 100_000  # most times that a triangle is divided, and most pieces of one
 SMOOTH = ((0.1, 3), (0.3, 4), (NEAR, 6))  # up to this ratio of size to distance, the collapsed rule of so many points
 ANGLE = np.pi / 3  # largest angle of a triangle at a tip; wider ones are bisected
 LOPSIDED = 4.0  # largest ratio of its two edges at the tip; beyond, the radius varies too fast along the far edge
@@ -124,9 +124,9 @@ def _divide(corners, tips, limit, leaves, kinds, owners):
     the rest are quartered. Fills as many `leaves` (k, 3, 2), their rules and owners, as there is room for.
     """
     stack, depth, edge = np.empty((4 * DEEPEST, 6)), np.empty(4 * DEEPEST, np.int64), np.empty(3)
-    n, seen = 0, 0
+    n = 0
     for k in range(len(corners)):
-        top = _push(stack, depth, 0, 0, corners[k, 0], corners[k, 1], corners[k, 2])
+        top, seen = _push(stack, depth, 0, 0, corners[k, 0], corners[k, 1], corners[k, 2]), 0
         while top > 0:
             top -= 1
             x, deep = stack[top].copy().reshape(3, 2), depth[top]

@@ -5,7 +5,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -126,7 +126,8 @@ class Chain:
     """One run's way through the stages.
 
     `force_from` names the first stage that is computed again whatever the cache holds (None: none).
-    `started(stage)` and `finished(done)` are told of each stage, `computing()` of one that is not in the cache.
+    `started(stage)` and `finished(done)` are told of each stage; one that is not in the cache is made in the context
+    `computing(stage)`.
     """
 
     config: Config
@@ -134,7 +135,7 @@ class Chain:
     force_from: str | None = None
     started: Callable[[str], None] = lambda stage: None
     finished: Callable[[Done], None] = lambda done: None
-    computing: Callable[[], None] = lambda: None
+    computing: Callable[[str], AbstractContextManager] = nullcontext
 
     def __post_init__(self):
         self.inputs = Inputs(self.config)
@@ -227,8 +228,7 @@ class Chain:
 
     def _stage(self, stage: Stage, params, force: bool) -> Done:
         def build(folder: Path) -> None:
-            self.computing()
-            with recorded() as caught:
+            with self.computing(stage.name), recorded() as caught:
                 value = stage.code.compute(params, self.inputs)
                 facts = stage.code.facts(value, self.inputs)
             if value is not None:

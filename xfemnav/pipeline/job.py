@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from xfemnav import __version__
@@ -13,7 +14,7 @@ from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
-from xfemnav.pipeline.kernels import first_use, settle_kernel_cache
+from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 from xfemnav.pipeline.stage import INVERTED_LIMIT_MM2
 
@@ -85,7 +86,7 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
           opened_cache(options.cache) as (cache, warned)):
         folder.refuse_overwriting([*config.files.values(), *config.also_read], _roles(config))
         passing = settle_kernel_cache()
-        computing = listener.compiling if first_use() else Listener.compiling
+        computing = partial(compiling, tell=listener.compiling)
         chain = Chain(config, cache, options.force_from, listener.started, listener.finished, computing)
         chain.warned += warned
         if passing:

@@ -10,14 +10,15 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from xfemnav.pipeline.keys import PACKAGE, source_digest
 
 LAYERS = ("geometry", "mechanics", "imaging")  # where kernels stand
 NAME = "xfemnav-kernels-"
+SLOW = ("mesh", "constrain", "solve", "warp")  # stages whose kernels take seconds to compile
 FORGET_S = 30 * 86400  # kernels of other code are removed when nothing has been added to them for so long
 
 PASSING = ("no folder for compiled kernels can be written, so they are compiled anew in every run; set NUMBA_CACHE_DIR "
@@ -51,9 +52,18 @@ def settle_kernel_cache() -> str | None:
     return PASSING if passing else None
 
 
-def first_use() -> bool:
-    """Whether no kernel of this code is kept yet, so that a run compiles them all; after `settle_kernel_cache`."""
-    return not any(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi"))
+@contextmanager
+def compiling(stage: str, tell: Callable[[], None]) -> Iterator[None]:
+    """While a stage is computed, after `settle_kernel_cache`: `tell` if it was never computed by this code before."""
+    done = Path(os.environ["NUMBA_CACHE_DIR"]) / f"{stage}.compiled"
+    new = stage in SLOW and not done.exists()
+    if new:
+        tell()
+    yield
+    if new:
+        with suppress(OSError):  # then it is told again
+            done.parent.mkdir(parents=True, exist_ok=True)
+            done.touch()
 
 
 def _places() -> Iterator[Path]:
