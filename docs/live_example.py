@@ -6,13 +6,14 @@ import time
 
 import numpy as np
 
-from data_synthetic import domains
 from xfemnav import Session
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.sizing import SizeField
 
 PLAN = np.array([[0.0, 75.0], [0.0, 30.0]])
 HZ = 30
+ANGLE = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+ORGAN = 70.0 * np.column_stack([np.cos(ANGLE), np.sin(ANGLE)])  # mm
 
 
 def track(poses: queue.Queue, seconds: float) -> None:
@@ -26,24 +27,37 @@ def track(poses: queue.Queue, seconds: float) -> None:
     poses.put(None)
 
 
+def latest(poses: queue.Queue) -> dict:
+    """The latest pose of each kind since the last call, waiting for one; none when the tracker has ended."""
+    found = {}
+    while not (found and poses.empty()):
+        pose = poses.get()
+        if pose is None:
+            poses.put(None)  # for the next call
+            break
+        kind, value = pose
+        found[kind] = value
+    return found
+
+
 def main(seconds: float = 3.0) -> int:
-    """Follow the poses until there are no more; the number of poses that were answered."""
-    session = Session(distmesh(domains.disc(70.0), SizeField(5.0, 2.0, 12.0, (PLAN,))), corridor=PLAN)
+    """Follow the poses until there are no more; how often the session was asked."""
+    session = Session(distmesh(ORGAN, SizeField(5.0, 2.0, 12.0, (PLAN,))), corridor=PLAN)
     session.cut(PLAN)
     session.open(left=0.0, right=0.0)
     poses: queue.Queue = queue.Queue()
     threading.Thread(target=track, args=(poses, seconds), daemon=True).start()
     answered = 0
-    while (pose := poses.get()) is not None:
-        what, value = pose
-        if what == "tip":
-            session.cut([PLAN[0], value])
-        else:
-            session.open(left=value[0], right=value[1])
+    while found := latest(poses):
+        if "tip" in found:
+            session.cut([PLAN[0], found["tip"]])
+        if "blades" in found:
+            left, right = found["blades"]
+            session.open(left=left, right=right)
         gap = session.displacement([0.0, 60.0], "left") - session.displacement([0.0, 60.0], "right")
         answered += 1
         force = session.forces()["left"].mean_pressure_kPa
-        print(f"{what:6s} lips {gap[0]:5.2f} mm apart, the left blade presses with {force:5.2f} kPa, "
+        print(f"{' and '.join(found):14s} lips {gap[0]:5.2f} mm apart, the left blade presses with {force:5.2f} kPa, "
               f"{poses.qsize()} poses wait")
     return answered
 

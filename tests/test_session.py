@@ -2,6 +2,9 @@
 
 import contextlib
 import doctest
+import queue
+import subprocess
+import sys
 from pathlib import Path
 from runpy import run_path
 
@@ -249,7 +252,20 @@ def test_what_needs_a_cut_or_an_image_says_so(session):
             refused()
 
 
-def test_the_example_follows_every_pose(capsys):
-    path = Path(__file__).parents[1] / "docs" / "live_example.py"
-    assert run_path(path)["main"](seconds=0.2) == 7  # 6 of the blades at 30 Hz, 1 of the tip
-    assert "mm apart" in capsys.readouterr().out
+def example():
+    return Path(__file__).parents[1] / "docs" / "live_example.py"
+
+
+def test_the_example_follows_the_poses():
+    """By itself, as a user would start it: 6 poses of the blades at 30 Hz and 1 of the tip, some of them at once."""
+    code = f"import runpy; print(runpy.run_path({str(example())!r})['main'](seconds=0.2))"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd="/").stdout
+    *lines, answered = told.splitlines()
+    assert 1 <= int(answered) <= 7 and len(lines) == int(answered) and all("mm apart" in line for line in lines)
+
+
+def test_the_latest_pose_of_each_kind_is_taken_and_the_end_is_not_lost():
+    poses, latest = queue.Queue(), run_path(example())["latest"]
+    for each in (("blades", 1), ("tip", 2), ("blades", 3), None):
+        poses.put(each)
+    assert latest(poses) == {"blades": 3, "tip": 2} and latest(poses) == {} == latest(poses)
