@@ -6,7 +6,7 @@ The rows take turns, so that a busy machine is busy for all. Times are of one th
 processor's own, which other programs disturb less. The table goes to docs/live.md.
 """
 
-from benchmarks.timing import processor  # isort: skip (sets the number of threads)
+from benchmarks.timing import keep, mark, processor  # isort: skip (sets the number of threads)
 
 import argparse
 import os
@@ -198,7 +198,14 @@ def main() -> None:
         worst = max(worst, float(np.abs(whole.U[: len(session.mesh.points)] - session.nodes).max()))
         clock("remesh", lambda path=path, k=own.start: remeshed(outline, path, lips[k], args.element_size_mm))
     table = _table(clock, session, args, made, worst)
-    print(table)
+    cut, blade, image, thousand, batch, remesh = (clock.row(name)[2] for name in ROWS)
+    keep("live", table + "\n", [
+        mark("live: a moved cut, ms", 10, cut), mark("live: a moved cut over a new solve", 0.25, cut / batch),
+        mark("live: a moved cut over the remeshing chain", 1 / 25, cut / remesh),
+        mark("live: a moved blade over a new solve", 1e-3, blade / batch),
+        mark("live: a moved blade to a warped image, ms", 5, image),
+        mark("live: 1,000 blades, s", 2, thousand / 1e3), mark("live: difference from a new solve, mm", 1e-9, worst),
+    ])
     text = PAGE.read_text()
     PAGE.write_text(text[: text.index(BEGIN) + len(BEGIN)] + f"\n\n{table}\n\n" + text[text.index(END):])
 

@@ -2,8 +2,8 @@
 
     python -m benchmarks.performance [name ...] [--page]
 
-Names: mesh assembly solve accuracy_time warp runs batch; all without a name. Each runs in a process of its own, so that
-none warms another's memory; results are kept in benchmarks/results, and the page is written from all of them.
+Names: mesh assembly solve accuracy_time warp live runs batch; all without a name. Each runs in a process of its own, so
+that none warms another's memory; results are kept in benchmarks/results, and the page is written from all of them.
 """
 
 import ast
@@ -24,34 +24,37 @@ TITLES = {
     "solve": "Solving, and what enrichment costs",
     "accuracy_time": "Accuracy against seconds for a changed cut",
     "warp": "Warping",
+    "live": "A live session",
     "runs": "Whole runs",
     "batch": "A batch",
 }
 LIBRARIES = ("numpy", "scipy", "numba", "SimpleITK", "nibabel", "matplotlib", "shapely", "gmsh", "scikit-fem",
              "scikit-sparse", "distmeshpy")
-IMPORTS = ("about two thirds are imports: numpy, scipy, numba, nibabel, SimpleITK, meshio; and Python itself starts in "
-           ".037 s here, in .009 s where the marks were set")
+IMPORTS = ("half of it are imports of libraries (numba, scipy, nibabel, pydantic, SimpleITK, meshio), which are better "
+           "than anything of our own that would load faster, and a tenth compiled kernels being loaded")
 #: Why a mark is missed, by the beginning of its name.
 REASONS = {
-    "assembly: time over numpy's": "numpy's own way takes 1 us an element here, where 3 to 5 were reckoned with",
-    "assembly: time over scikit-fem's": "scikit-fem takes 4 to 8 us an element here, where 17 to 35 were reckoned "
-    "with; the ratio grows with the mesh",
-    "solve: time over splu's default": "reading the pivots, which tell that the solution is a minimum, copies the "
-    "factor: .15 of the default's time; without that it is .69 to .73",
+    "assembly: time over numpy's": "numpy's own way takes .7 to 1 us an element here, where 3 to 5 were reckoned with",
+    "assembly: time over scikit-fem's": "scikit-fem takes 3 to 8 us an element here, where 17 to 35 were reckoned "
+    "with; met from 20k nodes on",
+    "solve: time over splu's default": "an order by minimum degree",
     "solve: with CHOLMOD, 5k": "met from 20k nodes on",
-    "solve: growth": "the fill of SuperLU's order by minimum degree; CHOLMOD's keeps the mark",
+    "solve: growth": "an order by minimum degree fills ever more; CHOLMOD keeps the mark by its dense blocks",
     "warp: map and one image over SimpleITK's": "two thirds of it are the map, which SimpleITK is given",
     "run: a mask given, no report, cold": IMPORTS,
     "run: segmentation": IMPORTS,
-    "run: ": "Python itself starts in .037 s here, and in .009 s where the marks were set",
+    "live: a moved cut": "a third is dense algebra and the backsolve to the whole organ, a quarter the conditions of "
+    "lips, contact and skull, a sixth geometry, a tenth the integration about the tip; the mark was set on cuts "
+    "without tip functions, contact and mean conditions",
+    "live: a moved blade over": "forces and lips are worked out too; the sum of modes alone takes a tenth",
+    "run: from a mask": "seconds of a processor; the system's factor is a quarter, what a run reports of it a third",
 }
 PREFACE = """# Performance
 
 Written by `python -m benchmarks.performance` (about half an hour). One thread. Seconds are those that the process had a
 processor for (`process_time`; user and system time of a child), because a clock on the wall measures the neighbours on
-a shared machine; this one had a load of 2 to 6 on two cores. What is compared ran in turns in one process, and medians
-are given: trust the ratios before the seconds. Peers that are not installed are left out. How fast a cut moves in a
-live session is measured by `python -m benchmarks.live`.
+a shared machine. What is compared ran in turns in one process, and medians
+are given: trust the ratios before the seconds. Peers that are not installed are left out.
 
 """
 
