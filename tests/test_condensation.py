@@ -51,7 +51,7 @@ def both(mesh, organ, cut, left, right, lips="contact", **how):
     answer = modes.free(amounts)
     if lips == "contact" and (pressing := modes.pressing(amounts)) is not None:
         answer = answer + pressing
-    U, own = (field[..., 0] for field in incision.expand(answer.u[:, None]))
+    U, own = (field[..., 0] for field in modes.carried(answer.u[:, None]))
     return whole, LiveMotion(Soup(organ, incision), U, own), answer
 
 
@@ -112,6 +112,35 @@ def test_tissues_differ_from_cell_to_cell(mesh):
     tissue = Tissue(rng.uniform(2, 9, len(mesh.cells)), rng.uniform(0.3, 0.45, len(mesh.cells)))
     organ = condense(mesh, tissue, SKULL, PLAN, mouths=PLAN[:1] * 70 / 76)
     assert_same(mesh, *both(mesh, organ, cut_in(mesh, (1.0, 76), (0.3, 36.0)), (2.0, 0.4), (-2.0, 0.1)))
+
+
+@pytest.mark.parametrize("ratio", [10.0, 100.0, 1e3, 1e5, 1e8])
+def test_a_stiff_inclusion_beside_the_cut_is_exact_or_refused(mesh, ratio):
+    """Never another answer than that of the whole organ: condensing costs twice the digits of the ratio."""
+    middle = mesh.points[mesh.cells].mean(axis=1)
+    young = np.where(np.linalg.norm(middle - [3, 45], axis=1) < 12, 3.0 * ratio, 3.0)
+    organ = condense(mesh, Tissue(young, np.full(len(young), 0.45)), SKULL, PLAN, mouths=PLAN[:1] * 70 / 76)
+    cut = cut_in(mesh, (1.0, 76), (0.3, 36.0))
+    if ratio <= 100:
+        assert_same(mesh, *both(mesh, organ, cut, (2.0, 0.4), (-2.0, 0.1)))
+    else:
+        with pytest.raises(XfemnavError, match="E407 a stiff inclusion"):
+            both(mesh, organ, cut, (2.0, 0.4), (-2.0, 0.1))
+
+
+def test_what_is_out_of_balance_is_the_rounding_of_the_condensed_stiffness(mesh, organ):
+    """The organ's own stiffness tells of an error that is put into the condensed one."""
+    incision = incise(organ, (cut_in(mesh, (1.0, 76), (0.3, 36.0)),))
+    blades = (Retraction(0, 1, displacement_mm=(2.0, 0.4), blade=(0.1, 0.7)),)
+    modes = lip_modes(incision, blades)
+    U, _ = modes.carried(modes.u)
+    assert np.abs(incision.unbalanced(modes.u, U)).max() < 1e-9 * np.abs(incision.stiff).max()
+    k = len(incision.give)
+    off = incision.stiff + 1e-5 * np.diag(np.diag(incision.stiff))
+    found = replace(incision, stiff=off).unbalanced(modes.u, U)[:k]
+    assert_allclose(found, (incision.stiff - off) @ modes.u[:k], atol=1e-9 * np.abs(incision.stiff).max())
+    with pytest.raises(XfemnavError, match="E407"):
+        replace(modes, incision=replace(incision, stiff=off)).carried(modes.u)
 
 
 def test_lips_that_touch_press_on_each_other(mesh, organ):

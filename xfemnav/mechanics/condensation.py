@@ -60,7 +60,7 @@ class Condensation:
 
     @cached_property
     def _system(self):
-        """Factored stiffness of the free unknowns q, and T with U = T q."""
+        """Factored stiffness of the free unknowns q, T with U = T q and its transpose, and the stiffness of U."""
         rest = with_rim(self.uncut, ~self.open_facets)
         space = Space(self.mesh, rest, enrich(self.mesh, rest))
         outline = skull_conditions(space, self.skull, np.empty((0, 2)), self.material)
@@ -78,7 +78,12 @@ class Condensation:
                 "nothing holds the organ beyond the craniotomies that the corridor allows, so it cannot be condensed; "
                 "use a smaller craniotomy or reach, or a run of its own for each cut.",
             ) from None
-        return found, csr_array(T), csr_array(T.T)
+        return found, csr_array(T), csr_array(T.T), csr_array(K)
+
+    @property
+    def stiffness(self) -> csr_array:
+        """K (2 n_nodes, 2 n_nodes) kPa of the uncut organ, with what its skull resists by."""
+        return self._system[3]
 
     @cached_property
     def held(self) -> np.ndarray:
@@ -116,7 +121,7 @@ class Condensation:
 
     def solve(self, forces) -> np.ndarray:
         """Displacements (n_nodes, 2, k) mm of the uncut organ under nodal forces (n_nodes, 2, k) mN per mm."""
-        found, T, back = self._system
+        found, T, back, _ = self._system
         n, _, k = forces.shape
         return np.asarray(T @ found.solve(back @ forces.reshape(2 * n, k))).reshape(n, 2, k)
 

@@ -39,8 +39,8 @@ class Incision:
     space: mesh, subcells and basis of the `window` about the cut, whose rim is that of the organ;
     rows (a,): its basis functions that are unknown here; number (n_dof,) the unknown of each degree of freedom;
     give (2 k, 2 k): lower Cholesky factor of the uncut organ's compliance, mm per mN per mm, at the first k rows, the
-    nodes; A (n, n) kPa: stiffness of the unknowns q, and R (2 a, n) the map u = R q; skull: conditions of the skull
-    that are no plain zeros.
+    nodes, and stiff (2 k, 2 k) kPa the inverse of that compliance; A (n, n) kPa: stiffness of the unknowns q, and
+    R (2 a, n) the map u = R q; skull: conditions of the skull that are no plain zeros.
     """
 
     organ: Condensation
@@ -50,6 +50,7 @@ class Incision:
     rows: np.ndarray
     number: np.ndarray
     give: np.ndarray
+    stiff: np.ndarray
     A: np.ndarray
     R: "Mixing"
     skull: Constraints
@@ -60,6 +61,16 @@ class Incision:
         dense = np.zeros((C.shape[0], 2 * len(self.rows)))
         np.add.at(dense, (C.row, self.number[C.col]), C.data)
         return dense
+
+    def unbalanced(self, u, U) -> np.ndarray:
+        """Forces (2 a, k) mN per mm by which the organ resists the unknowns u (2 a, k) mm more than A tells, when its
+        nodes move by U (n_nodes, 2, k) mm, as `expand` has them: the rounding of the condensed stiffness."""
+        k, n = len(self.give), len(self.organ.mesh.points)
+        nodes = self.window.nodes[self.rows[: k // 2]]
+        own = self.organ.stiffness[(2 * nodes[:, None] + np.arange(2)).ravel()]
+        force = np.zeros(u.shape)
+        force[:k] = own @ U.reshape(2 * n, -1) - self.stiff @ u[:k]
+        return force
 
     def expand(self, u) -> tuple[np.ndarray, np.ndarray]:
         """All coefficients from the unknowns u (2 a, k) mm: those of the organ's nodes (n_nodes, 2, k), and of the
@@ -99,7 +110,7 @@ class Mixing:
 def incise(
     organ: Condensation, cuts: tuple[Cut, ...], tip_enrichment: str = "topological", tip_radius_mm: float | None = None
 ) -> Incision:
-    """Cut the organ. Raises OutOfReach, CutThrough."""
+    """Cut the organ. Raises OutOfReach, CutThrough, XfemnavError E407."""
     space, part = _space(organ, cuts, tip_enrichment, tip_radius_mm)
     mesh, table, sub = space.mesh, space.enrichment, space.subcells
     material = _restricted(organ.material, part.cells)
@@ -127,12 +138,13 @@ def incise(
     number = np.full(2 * table.n_rows, -1)
     number[(2 * rows[:, None] + np.arange(2)).ravel()] = np.arange(2 * len(rows))
     nodes = rows[rows < n]
-    give, outside = _outside(organ, part, material, np.flatnonzero(cells), nodes)
+    give, stiff = _resistance(organ, part, nodes)
+    outside = stiff - _plain(mesh, material, np.flatnonzero(cells), nodes)
     plain, tips = _order(table, rows, number[fixed])
     stiffness = stiffness_of_parts(space, material, parts), outline.springs
     K = _gathered(np.concatenate([plain, tips]), number, outside, stiffness)
     A, R = _mixed(space, material, tip_enrichment, rows, K, plain, tips)
-    return Incision(organ, cuts, part, space, rows, number, give, A, R, skull)
+    return Incision(organ, cuts, part, space, rows, number, give, stiff, A, R, skull)
 
 
 def _space(organ, cuts, tip_enrichment, tip_radius_mm):
@@ -189,13 +201,24 @@ def _restricted(material, cells):
     return Tissue(material.young_kpa[cells], material.poisson[cells], material.stress_state)
 
 
-def _outside(organ, part, material, cells, nodes):
-    """Lower Cholesky factor of the compliance of `nodes` (k,), and the stiffness (2 k, 2 k) kPa that the organ has on
-    them without the `cells` (c,): the inverse of that compliance, less the uncut cells."""
-    give, _ = lapack.dpotrf(organ.compliance.among(part.nodes[nodes]).T, lower=True, overwrite_a=True)
-    lower, _ = lapack.dpotri(give, lower=True)
+def _resistance(organ, part, nodes):
+    """Lower Cholesky factor of the compliance of `nodes` (k,), and its inverse (2 k, 2 k) kPa."""
+    give, lost = lapack.dpotrf(organ.compliance.among(part.nodes[nodes]).T, lower=True, overwrite_a=True)
+    if not lost:
+        lower, lost = lapack.dpotri(give, lower=True)
+    if lost:
+        raise too_stiff()
     np.einsum("ii->i", lower)[:] /= 2
-    return give, lower + lower.T - _plain(part.mesh, material, cells, nodes)
+    return give, lower + lower.T
+
+
+def too_stiff() -> XfemnavError:
+    """What is wrong where the stiffness of the condensed organ is lost in rounding."""
+    return XfemnavError(
+        "E407",
+        "a stiff inclusion beside the cut wants a run: it is so much stiffer than the rest that a session, which "
+        "condenses the organ, loses its answer in rounding.",
+    )
 
 
 def _plain(mesh, material, cells, nodes):

@@ -16,7 +16,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.constraints import Constraints, refuse_contradiction, stack
 from xfemnav.mechanics.contact import lip_contacts
 from xfemnav.mechanics.enrichment import BRANCH
-from xfemnav.mechanics.incision import Incision
+from xfemnav.mechanics.incision import Incision, too_stiff
 from xfemnav.mechanics.lips import Retraction, held_length, held_span, lip_quadrature, lip_rows
 from xfemnav.mechanics.minimise import CONTRADICTION_MM, SETTLED, TOUCH_MM, Contacts, pressed
 
@@ -26,6 +26,9 @@ DEPENDENT = 1e-10
 PER_LIP = 3
 #: Conditions that are met less exactly than this, relative, are nearly dependent, and solved once more.
 EXACT = 1e-14
+#: An answer is not given out when its balance with the organ's own stiffness would change it by more than this,
+#: relative to the largest displacement.
+SOUND = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +80,21 @@ class LipModes:
 
     @cached_property
     def fields(self) -> tuple[np.ndarray, np.ndarray]:
-        """The modes on the whole organ: see `Incision.expand`."""
-        return self.incision.expand(self.u)
+        """The modes on the whole organ: see `carried`."""
+        return self.carried(self.u)
+
+    def carried(self, u) -> tuple[np.ndarray, np.ndarray]:
+        """Answers u (2 a, k) mm on the whole organ, as `Incision.expand` has them, if the organ's own stiffness bears
+        them out. Raises XfemnavError E407.
+
+        Condensing an inclusion costs digits, twice as many as it is stiffer by. What is out of balance for that would
+        move the answer: that is its error, but for a factor of some units.
+        """
+        U, own = self.incision.expand(u)
+        change = self.system.moved_by(self.incision.R.rows(self.incision.unbalanced(u, U).T).T)
+        if not (np.abs(self.incision.R @ change).max(axis=0) <= SOUND * np.abs(U).max(axis=(0, 1))).all():
+            raise too_stiff()
+        return U, own
 
     @cached_property
     def lengths(self) -> np.ndarray:
@@ -152,11 +168,7 @@ class System:
         # Symmetric: the transpose is in the order that LAPACK wants.
         self.factor, info = lapack.dpotrf(A.T, lower=True)
         if info:
-            raise XfemnavError(
-                "E407",
-                "the stiffness of the cut organ is lost in rounding: tissue beside the cut is too much stiffer than "
-                "the rest for a session; make a run of it.",
-            )
+            raise too_stiff()
         Y = blas.dtrsm(1.0, self.factor, C.T, lower=True)
         # Conditions are compared in units of their own compliance.
         size = np.linalg.norm(Y, axis=0)
@@ -165,7 +177,9 @@ class System:
         S = self.Y.T @ self.Y
         _, pivot, rank, _ = lapack.dpstrf(S, lower=True, tol=DEPENDENT)
         self.kept = np.sort(pivot[:rank] - 1)
-        self.root, _ = lapack.dpotrf(S[np.ix_(self.kept, self.kept)], lower=True)
+        self.root, lost = lapack.dpotrf(S[np.ix_(self.kept, self.kept)], lower=True)
+        if lost:
+            raise too_stiff()
 
     def constrained(self, b, d):
         """q (n, k) and multipliers (m, k) with A q = b + C' multipliers and C q = d; b (n, k), d (m, k)."""
@@ -188,6 +202,10 @@ class System:
         """q with C q = 0."""
         flat = b.reshape(len(b), -1)
         return self.constrained(flat, np.zeros((len(self.C), flat.shape[1])))[0].reshape(b.shape)
+
+    def moved_by(self, b):
+        """q (n, k) with C q = 0 for forces b (n, k), to some digits."""
+        return self._once(b, np.zeros((len(self.C), b.shape[1])))[0]
 
     def unheld(self, b):
         """q without the conditions."""

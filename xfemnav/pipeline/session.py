@@ -185,12 +185,11 @@ class Session:
         if pressing is not None:
             answer += pressing
         if at_once:
-            U, own = (field[..., 0] for field in self._incision.expand(answer.u[:, None]))
+            U, own = (field[..., 0] for field in modes.carried(answer.u[:, None]))
         else:
             U, own = (field @ amounts for field in modes.fields)
             if pressing is not None:
-                U, own = (field + more[..., 0] for field, more in
-                          zip((U, own), self._incision.expand(pressing.u[:, None])))
+                U, own = (field + more[..., 0] for field, more in zip((U, own), modes.carried(pressing.u[:, None])))
         self._motion, self._pulled = LiveMotion(self._soup, U, own), None
         self._forces = _told(modes, answer)
 
