@@ -236,11 +236,12 @@ def lip_modes(
         d[at, PER_LIP * group + 2] = own.d
         start = at.stop
     C, R = incision.local(conditions.C), incision.R
-    size = np.linalg.norm(C, axis=1)
+    size = np.sqrt(np.einsum("mn,mn->m", C, C))
     # A row that acts on what the skull fixes, but for rounding, is left out.
     acts = np.linalg.norm(C[:, np.concatenate([R.plain, R.tips])], axis=1) > DEPENDENT * size
     system = System(incision.A, np.where(acts[:, None], R.rows(C), 0.0))
     q, multipliers = system.constrained(np.zeros((len(incision.A), d.shape[1])), d)
-    u, dropped = R @ q, np.setdiff1d(np.arange(len(d)), system.kept)
+    u, dropped = R @ q, np.ones(len(d), dtype=bool)
+    dropped[system.kept] = False
     missed = (d[dropped] - C[dropped] @ u) / size[dropped, None]
     return LipModes(incision, blades, spans, conditions, weights, d, system, u, multipliers, missed)
