@@ -167,7 +167,7 @@ def test_what_a_session_cannot_do_is_named(session, head):
     with pytest.raises(XfemnavError, match="plan"):
         Session(head, **COARSE)
     session.cut(PLAN)
-    for moves in ({"left": (1, 2, 3)}, {"left": np.nan}):
+    for moves in ({"left": (1, 2, 3)}, {"left": np.nan}, {"left": "wide"}):
         with pytest.raises(XfemnavError, match="E780"):
             session.open(**moves)
     with pytest.raises(XfemnavError, match="E405"):
@@ -176,8 +176,23 @@ def test_what_a_session_cannot_do_is_named(session, head):
         session.cut([[-80.0, 0.0], [-70.0, 0.0]])
     with pytest.raises(XfemnavError, match="E314"):
         session.cut([[-60.0, 10.0], [-30.0, 8.0], [-60.0, 0.0]])
-    with pytest.raises(XfemnavError, match="E130"):
-        session.image(np.zeros((3, 3)))
+    shape = session.frame.values.shape
+    for companion in (np.zeros((3, 3)), np.zeros(shape, complex), np.full(shape, "a")):
+        with pytest.raises(XfemnavError, match="E130"):
+            session.image(companion)
+    for how in ({"interp": "spline"}, {"outside": "elsewhere"}):
+        with pytest.raises(XfemnavError, match="E780"):
+            session.image(**how)
+    for points in ([[1, 2, 3, 4]], "x", "0,60", [["a", "b"]], np.zeros((2, 2, 2))):
+        with pytest.raises(XfemnavError, match="E780"):
+            session.displacement(points)
+    bare = Session(session.mesh, corridor=PLAN)
+    for asked in (lambda: bare.to_current([[0, 0, 0.0]]), lambda: bare.cut([[0, 75, 0], [0, 30, 0]]),
+                  lambda: Session(session.mesh, corridor=PLAN, cut=PLAN),
+                  lambda: Session(session.mesh, corridor=PLAN, reach_mm=-1),
+                  lambda: Session(session.mesh, corridor=PLAN, reach_mm="x")):
+        with pytest.raises(XfemnavError, match="E780"):
+            asked()
 
 
 def test_a_cut_that_fails_leaves_the_one_before(session):

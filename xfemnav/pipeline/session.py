@@ -15,6 +15,7 @@ from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.result import SIDES, side_number
 
 NAME = "cut"
+INTERP, OUTSIDE = ("linear", "cubic", "nearest"), ("keep", "zero")
 #: What a session cannot do, by the name of the setting, and the value that it must have.
 ONLY = {"resections": (), "skull_gap_mm": 0.0, "arcs": (), "boundary_displacement": None, "gravity": None,
         "pressures": (), "model": "linear", "loose_pieces": "refuse"}
@@ -46,6 +47,10 @@ class Session:
         from xfemnav.geometry.mesh import Mesh
 
         settle_kernel_cache()  # before kernels are imported
+        if corridor is not None and "cut" in flags:
+            raise XfemnavError("E780", "corridor and cut both say where cuts are planned: give the corridor alone.")
+        if not (isinstance(reach_mm, int | float) and 0 < reach_mm < np.inf):
+            raise XfemnavError("E780", f"reach_mm is {reach_mm!r}, wanted a positive number, mm.")
         given = flags if corridor is None else flags | {"cut": corridor}
         organ = image if isinstance(image, Mesh) else None
         # A mesh stands in for the image that it was made of: no file is read.
@@ -82,10 +87,7 @@ class Session:
         where tissue beside the cut is so stiff that it wants a run.
         """
         self._refuse_uncut()
-        moves = {side: np.atleast_1d(np.asarray(move, float)) for side, move in ((1, left), (-1, right))
-                 if move is not None}
-        if any(move.shape not in ((1,), (2,)) or not np.isfinite(move).all() for move in moves.values()):
-            raise XfemnavError("E780", "a lip moves by one finite number, or by two: left=3.0 or left=(3.5, 1.0).")
+        moves = {side: _move(move) for side, move in ((1, left), (-1, right)) if move is not None}
         self._move(moves, tuple(blade), at_once=False)
         self._asked = moves, tuple(blade)
 
@@ -125,6 +127,8 @@ class Session:
         if self.frame is None:
             raise XfemnavError("E780", "image: this session was made of a mesh; make it of an image to warp one.")
         values = self.frame.values if values is None else np.asarray(values)
+        if values.dtype.kind not in "buif":
+            raise XfemnavError("E130", f"the companion has values of type {values.dtype}; give real numbers.")
         if values.shape != self.frame.values.shape:
             raise XfemnavError("E130", f"the companion has {values.shape} pixels and the slice "
                                        f"{self.frame.values.shape}; give it on the slice's grid, along e1 and e2.")
@@ -134,6 +138,9 @@ class Session:
         own = self._warp
         how = [own.interp if interp is None else interp, own.outside if outside is None else outside,
                own.fill if fill is None else fill]
+        if how[0] not in INTERP or how[1] not in OUTSIDE:
+            raise XfemnavError("E780", f"interp {how[0]!r}, outside {how[1]!r}: wanted one of {', '.join(INTERP)}, and "
+                                       f"one of {', '.join(OUTSIDE)}.")
         return update(values, *grid[:2], self._at_rest, self._pulled, *how).updated
 
     def forces(self) -> dict:
@@ -234,7 +241,14 @@ class Session:
         """Points as rows of numbers, plane (n, 2) or world (n, 3) mm."""
         if isinstance(points, str):
             points = [numbers(word) for word in points.replace(";", " ").split()]
-        return np.array(points, float, ndmin=2)
+        try:
+            rows = np.array(points, float, ndmin=2)
+        except (TypeError, ValueError):
+            rows = np.empty((0, 0))
+        if rows.ndim != 2 or rows.shape[1] not in ((2,) if self.frame is None else (2, 3)):
+            more = "" if self.frame is None else ", or (n, 3) world RAS mm"
+            raise XfemnavError("E780", f"points are numbers, (n, 2) plane mm{more}.")
+        return rows
 
     def _plane(self, points) -> np.ndarray:
         """Points (n, 2) plane mm."""
@@ -246,29 +260,39 @@ class Session:
         return plane_points(self.frame, rows)
 
     def _mapped(self, points, move) -> np.ndarray:
-        points = np.asarray(points, float)
-        rows = np.atleast_2d(points)
+        rows, shape = self._rows(None if isinstance(points, str) else points), np.shape(points)
         if rows.shape[1] == 2:
-            return move(rows).reshape(points.shape)
+            return move(rows).reshape(shape)
         plane, distance = self.frame.from_world(rows)
-        return (self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]).reshape(points.shape)
+        return (self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]).reshape(shape)
 
     def _refuse_uncut(self) -> None:
         if self._incision is None:
             raise XfemnavError("E780", "the organ is not cut yet: give a path to Session.cut first.")
 
 
+def _move(move) -> np.ndarray:
+    """What a lip does: (1,) mm away from the other lip, or (2,) plane mm."""
+    try:
+        found = np.atleast_1d(np.asarray(numbers(move) if isinstance(move, str) else move, float))
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape not in ((1,), (2,)) or not np.isfinite(found).all():
+        raise XfemnavError("E780", "a lip moves by one finite number, or by two: left=3.0 or left=(3.5, 1.0).")
+    return found
+
+
 def _refuse(config) -> None:
     """Name every setting that a session cannot have."""
     params = config.constrain
-    found = [f"{name.replace('_', ' ')} {getattr(params, name)!r}" for name, value in ONLY.items()
-             if getattr(params, name) != value]
+    if not params.cuts:
+        raise XfemnavError("E780", "a session needs to know where cuts are planned: give a corridor.")
+    found = [name.replace("_", " ") for name, value in ONLY.items() if getattr(params, name) != value]
     found += [f"skull {params.skull!r}"] if params.skull not in ("fixed", "sliding") else []
     found += [f"lip constraint {params.lip_constraint!r}"] if params.lip_constraint == "nitsche" else []
     found += ["points in LPS or voxels"] if params.space != "ras" else []
     found += ["several cuts or steps"] if len(params.cuts) > 1 or len(config.steps) > 1 else []
     found += ["retractions: say them to Session.open"] if params.retractions else []
-    found += ["no plan: say where, as corridor"] if not params.cuts else []
     if found:
         raise XfemnavError("E780", f"a session is for a cut in a fixed or sliding skull, not for {'; '.join(found)}.")
 
