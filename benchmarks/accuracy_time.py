@@ -134,7 +134,7 @@ def live(organ, enrichment):
     incision = incise(organ, (cut,), enrichment)
     modes = lip_modes(incision, blades)
     answer = modes.free(np.concatenate([[*blade.displacement_mm, 0.0] for blade in blades]))
-    U, own = (field[..., 0] for field in incision.expand(answer.u[:, None]))
+    U, own = (field[..., 0] for field in modes.carried(answer.u[:, None]))
     return LiveMotion(Soup(organ, incision), U, own), answer.u
 
 
