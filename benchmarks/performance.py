@@ -38,7 +38,7 @@ REASONS = {
     "assembly: time over scikit-fem's": "scikit-fem takes 3 to 8 us an element here, where 17 to 35 were reckoned "
     "with; met from 20k nodes on",
     "solve: time over splu's default": "an order by minimum degree",
-    "solve: with CHOLMOD, 5k": "met from 20k nodes on",
+    "solve: with CHOLMOD": "from run to run .41 to .63 at 5k nodes, .34 to .45 at 20k, .25 to .32 at 80k",
     "solve: growth": "an order by minimum degree fills ever more; CHOLMOD keeps the mark by its dense blocks",
     "warp: map and one image over SimpleITK's": "two thirds of it are the map, which SimpleITK is given",
     "run: a mask given, no report, cold": IMPORTS,
@@ -46,15 +46,15 @@ REASONS = {
     "live: a moved cut": "a third is dense algebra and the backsolve to the whole organ, a quarter the conditions of "
     "lips, contact and skull, a sixth geometry, a tenth the integration about the tip; the mark was set on cuts "
     "without tip functions, contact and mean conditions",
-    "live: a moved blade over": "forces and lips are worked out too; the sum of modes alone takes a tenth",
-    "run: from a mask": "seconds of a processor; the system's factor is a quarter, what a run reports of it a third",
+    "live: a moved blade over": "the forces, and whether lips touch, are worked out too",
+    "run: from a mask": "what a run reports of its solution is worked out too, and the outline and mesh are a quarter",
 }
 PREFACE = """# Performance
 
 Written by `python -m benchmarks.performance` (about half an hour). One thread. Seconds are those that the process had a
 processor for (`process_time`; user and system time of a child), because a clock on the wall measures the neighbours on
-a shared machine. What is compared ran in turns in one process, and medians
-are given: trust the ratios before the seconds. Peers that are not installed are left out.
+a shared machine. What is compared ran in turns in one process, and medians are given: trust the ratios before the
+seconds. Peers that are not installed are left out.
 
 """
 
