@@ -47,7 +47,7 @@ REASONS = {
     "lips, contact and skull, a sixth geometry, a tenth the integration about the tip; the mark was set on cuts "
     "without tip functions, contact and mean conditions",
     "live: a moved blade over": "the forces, and whether lips touch, are worked out too",
-    "run: from a mask": "what a run reports of its solution is worked out too, and the outline and mesh are a quarter",
+    "run: from a mask": "what a run reports of its solution is worked out too, and the outline and mesh are a fifth",
 }
 PREFACE = """# Performance
 
