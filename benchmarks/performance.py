@@ -30,24 +30,23 @@ TITLES = {
 }
 LIBRARIES = ("numpy", "scipy", "numba", "SimpleITK", "nibabel", "matplotlib", "shapely", "gmsh", "scikit-fem",
              "scikit-sparse", "distmeshpy")
-IMPORTS = ("half of it are imports of libraries (numba, scipy, nibabel, pydantic, SimpleITK, meshio), which are better "
-           "than anything of our own that would load faster, and a tenth compiled kernels being loaded")
+IMPORTS = ("most of what is beyond are imports of libraries (numba, scipy, nibabel, pydantic, SimpleITK, meshio), "
+           "which are better than anything of our own that would load faster")
 #: Why a mark is missed, by the beginning of its name.
 REASONS = {
     "assembly: time over numpy's": "numpy's own way takes .7 to 1 us an element here, where 3 to 5 were reckoned with",
     "assembly: time over scikit-fem's": "scikit-fem takes 3 to 8 us an element here, where 17 to 35 were reckoned "
     "with; met from 20k nodes on",
     "solve: time over splu's default": "an order by minimum degree",
-    "solve: with CHOLMOD": "from run to run .41 to .63 at 5k nodes, .34 to .45 at 20k, .25 to .32 at 80k",
+    "solve: with CHOLMOD": "its order and the check for rigid motions weigh more in small systems; met at 80k nodes",
     "solve: growth": "an order by minimum degree fills ever more; CHOLMOD keeps the mark by its dense blocks",
     "warp: map and one image over SimpleITK's": "two thirds of it are the map, which SimpleITK is given",
     "run: a mask given, no report, cold": IMPORTS,
     "run: segmentation": IMPORTS,
-    "live: a moved cut": "a third is dense algebra and the backsolve to the whole organ, a quarter the conditions of "
-    "lips, contact and skull, a sixth geometry, a tenth the integration about the tip; the mark was set on cuts "
-    "without tip functions, contact and mean conditions",
+    "live: a moved cut": "dense algebra, the backsolve to the whole organ, and conditions of lips, contact and skull; "
+    "the mark was set on cuts without tip functions, contact and mean conditions",
     "live: a moved blade over": "the forces, and whether lips touch, are worked out too",
-    "run: from a mask": "what a run reports of its solution is worked out too, and the outline and mesh are a fifth",
+    "run: from a mask": "what a run reports of its solution is worked out too",
 }
 PREFACE = """# Performance
 

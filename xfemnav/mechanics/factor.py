@@ -35,10 +35,9 @@ def factor(A, semidefinite: bool = False) -> Factor:
     which would copy the factor.
     """
     try:
-        from sksparse.cholmod import analyze  # noqa: F401  (another interface since 0.5)
+        return by_cholmod(A)
     except ImportError:
         return by_superlu(A, semidefinite)
-    return by_cholmod(A)
 
 
 def by_superlu(A, semidefinite: bool = False) -> Factor:
@@ -56,7 +55,7 @@ def by_superlu(A, semidefinite: bool = False) -> Factor:
 
 
 def by_cholmod(A) -> Factor:
-    """By CHOLMOD, which takes the lower triangle."""
+    """By CHOLMOD, which takes the lower triangle. Raises ImportError without scikit-sparse 0.4: later ones differ."""
     from sksparse.cholmod import CholmodNotPositiveDefiniteError, analyze
 
     A = csc_matrix(A)
