@@ -25,6 +25,8 @@ HOMES = {
     "nibabel": {"imaging"},
     "SimpleITK": {"imaging"},
     "skimage": {"imaging"},
+    "pydicom": {"imaging"},
+    "h5py": {"imaging"},
     "meshio": {"pipeline"},
     "matplotlib": {"pipeline"},
     "jinja2": {"pipeline"},

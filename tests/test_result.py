@@ -234,10 +234,15 @@ def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     for value in (1, 2):
         (toy / "geometry" / "helper.py").write_text(kernel.format("", "helper", value))
+        (toy / "geometry" / "reader.py").write_text(f"VALUE = {value}\n")
         for new in (True, False):
             got = subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True,
                                  check=True)
             assert got.stdout.split() == [str(value), str(new)]
+    assert kernels.made_of(toy) == {toy / "geometry" / f"{name}.py" for name in ("caller", "helper")}
+    (toy / "geometry" / "helper.py").write_text("from xfemnav.geometry import (\n    reader,\n)\n" + kernel.format(
+        "", "helper", "reader.VALUE"))
+    assert toy / "geometry" / "reader.py" in kernels.made_of(toy), "a constant is frozen in a kernel"
     old, forgotten = tmp_path / f"{kernels.NAME}old", tmp_path / f"{kernels.NAME}forgotten"
     for folder in (old, forgotten):
         folder.mkdir()

@@ -11,12 +11,12 @@ from pathlib import Path
 
 from xfemnav import __version__
 from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
+from xfemnav.limits import INVERTED
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
-from xfemnav.pipeline.stage import INVERTED_LIMIT_MM2
 
 
 class Interrupted(BaseException):
@@ -144,9 +144,9 @@ def _fault(chain: Chain, k: int, record: dict) -> str | None:
         if done := chain.inputs.done.get(chain.inputs.label(stage, k)):
             facts |= done.facts | {"checks": facts.get("checks", {}) | done.facts["checks"]}
     checks, where = facts.get("checks", {}), f"in step '{step.name}' " if step.name else ""
-    if checks.get("inverted_mm2", 0) > INVERTED_LIMIT_MM2:
+    if checks.get("inverted_mm2", 0) > INVERTED.value:
         return (f"{where}the retraction folds the tissue: {checks['inverted_mm2']:.2f} mm2 are inverted, over "
-                f"{INVERTED_LIMIT_MM2:g} mm2. The largest safe opening is {facts['safe_fraction']:.3f} of this one")
+                f"{INVERTED.value:g} mm2. The largest safe opening is {facts['safe_fraction']:.3f} of this one")
     if checks.get("overlap_mm2", 0) > overlap_limit(record):
         return (f"{where}{checks['overlap_mm2']:.1f} mm2 of tissue lie twice: lips, or walls of a resection, have "
                 "moved through each other. Swap left and right if they are swapped, hold both lips, or load less")

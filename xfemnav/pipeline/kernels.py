@@ -1,11 +1,13 @@
 """Where numba keeps compiled kernels. It must be settled before numba compiles any of ours.
 
-Numba compiles a kernel anew when its own file changes, but not when a helper in another file does. So kernels are kept
-in a folder named by the digest of all code that they are made of: other code finds none of them.
+Numba compiles a kernel anew when its own file changes, but not when a helper or constant in another file does. So
+kernels are kept in a folder named by the digest of all code that they can be made of, the modules with kernels and all
+that those import: other code finds none of them, and an edit of a reader of files spares them.
 """
 
 import atexit
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -19,6 +21,7 @@ from xfemnav.pipeline.keys import PACKAGE, source_digest
 LAYERS = ("geometry", "mechanics", "imaging")  # where kernels stand
 NAME = "xfemnav-kernels-"
 SLOW = ("mesh", "constrain", "solve", "warp")  # stages whose kernels take seconds to compile
+IMPORT = re.compile(r"^\s*from (xfemnav[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 FORGET_S = 30 * 86400  # kernels of other code are removed when nothing has been added to them for so long
 
 PASSING = ("no folder for compiled kernels can be written, so they are compiled anew in every run; set NUMBA_CACHE_DIR "
@@ -31,7 +34,7 @@ def settle_kernel_cache() -> str | None:
     It lies in NUMBA_CACHE_DIR, else beside the source, else below the home folder, else it is a temporary one. Modules
     of kernels that were imported before keep their kernels where numba would put them.
     """
-    name = NAME + source_digest(*(path for layer in LAYERS for path in (PACKAGE / layer).rglob("*.py")))[:16]
+    name = NAME + source_digest(*made_of())[:16]
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given and Path(given).name == name:
         return None
@@ -50,6 +53,22 @@ def settle_kernel_cache() -> str | None:
             if other.name != name and time.time() - other.stat().st_mtime > FORGET_S:
                 shutil.rmtree(other, ignore_errors=True)
     return PASSING if passing else None
+
+
+def made_of(package: Path = PACKAGE) -> set[Path]:
+    """The modules of `package` that have kernels, and all in its `LAYERS` that they import, directly or not."""
+    modules = (path for layer in LAYERS for path in (package / layer).rglob("*.py"))
+    waiting = [path for path in modules if "njit" in path.read_text(encoding="utf-8")]
+    found = set()
+    while waiting:
+        path = waiting.pop()
+        if path not in found and path.is_file() and path.relative_to(package).parts[0] in LAYERS:
+            found.add(path)
+            for module, names in IMPORT.findall(path.read_text(encoding="utf-8")):
+                place = package.joinpath(*module.split(".")[1:])  # a module, or a package of the modules named
+                waiting += [place.with_suffix(".py"), *((place / name).with_suffix(".py")
+                                                        for name in re.findall(r"\w+", names))]
+    return found
 
 
 @contextmanager

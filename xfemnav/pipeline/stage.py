@@ -9,8 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 
-INVERTED_LIMIT_MM2 = 1.0  # more folded tissue than this and the result is not trusted (E401)
-
 
 @dataclass(frozen=True)
 class Stage:

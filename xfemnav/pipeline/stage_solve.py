@@ -1,9 +1,7 @@
 """The stage solve: a boundary value problem becomes deformed triangles."""
 
-from xfemnav.pipeline.stage import INVERTED_LIMIT_MM2
+from xfemnav.limits import FOLDED_NOTICE, INVERTED
 
-# Linear strains grow as r^-1/2 at a tip, so a speck of tissue there is inverted at any opening: this much is no news.
-FOLDED_NOTICE_MM2 = 0.01
 SIDES = (("left", 1), ("right", -1))
 
 
@@ -13,7 +11,7 @@ def compute(params, inputs):
     from xfemnav.mechanics.solution import solve
 
     solution = solve(inputs.value("constrain"))
-    if solution.inverted_mm2 > FOLDED_NOTICE_MM2:
+    if solution.inverted_mm2 > FOLDED_NOTICE.value:
         worst = solution.rest[solution.det_F.argmin()].mean(axis=0)
         warn("W402", f"{solution.inverted_mm2:.3g} mm2 of tissue is turned inside out, the worst near "
                      f"({worst[0]:.1f}, {worst[1]:.1f}) mm.")
@@ -35,7 +33,7 @@ def facts(value, inputs):
                   "linear_difference_mm": value.linear_difference_mm},
         "energy_uJ_per_mm": value.energy,
         "matrix": {"nnz": value.nnz, "added_nnz": value.added_nnz, "memory_kB": value.matrix_kB},
-        "safe_fraction": safe_fraction(value.rest, value.moved) if value.inverted_mm2 > INVERTED_LIMIT_MM2 else 1.0,
+        "safe_fraction": safe_fraction(value.rest, value.moved) if value.inverted_mm2 > INVERTED.value else 1.0,
         "checks": {
             "residual": value.residual,
             "inverted_mm2": value.inverted_mm2,
@@ -65,7 +63,7 @@ def safe_fraction(rest, moved) -> float:
     while high - low > 1:
         middle = (low + high) // 2
         folded = inverted_area(rest, rest + middle / 1000 * (moved - rest))
-        low, high = (middle, high) if folded <= INVERTED_LIMIT_MM2 else (low, middle)
+        low, high = (middle, high) if folded <= INVERTED.value else (low, middle)
     return low / 1000
 
 

@@ -1,0 +1,19 @@
+"""Limits beyond which a result deserves a warning, or no trust: one table, read by the checks and by the report.
+
+Nothing is imported and nothing decided here: a check compares, warns with its code, and says the number and the limit.
+"""
+
+from typing import NamedTuple
+
+
+class Limit(NamedTuple):
+    """The largest (or, where the words say so, smallest) `value` that passes, its `unit`, and what it is a limit of."""
+
+    value: float
+    unit: str
+    of: str
+
+
+INVERTED = Limit(1.0, "mm²", "tissue turned inside out; more is not trusted (E401)")
+# Linear strains grow as r^-1/2 at a tip, so a speck of tissue there is inverted at any opening: this much is no news.
+FOLDED_NOTICE = Limit(0.01, "mm²", "tissue turned inside out (W402)")
