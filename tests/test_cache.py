@@ -9,7 +9,8 @@ import warnings
 import pytest
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.pipeline.cache import Cache
+from xfemnav.pipeline import disk
+from xfemnav.pipeline.cache import TAG, TAGGED, Cache
 from xfemnav.pipeline.keys import PACKAGE, canonical, code_digest, digest
 
 KEY = digest("toy")
@@ -108,6 +109,105 @@ def test_prune_waits_for_no_running_run(tmp_path, monkeypatch):
     cache = Cache(tmp_path)
     with cache.in_use(), pytest.raises(XfemnavError, match="E503"):
         Cache(tmp_path).prune(0)
+
+
+def tree(root):
+    return {path.relative_to(root).as_posix(): path.is_file() and path.read_bytes() for path in sorted(root.rglob("*"))}
+
+
+@pytest.mark.parametrize("name", ["damaged/thesis.txt", "locks/keys.txt", "entries/2024/scan.nii.gz", "notes.txt",
+                                  "entries/ab.txt", TAG])
+def test_a_folder_of_the_users_own_is_refused_and_keeps_everything(tmp_path, name):
+    """A study that happens to have folders of our names, or another program's cache, is no cache of ours."""
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / name).write_text("Signature: 8a477f597d28d172789f06886806bc55\n# of another program\n")
+    before = tree(tmp_path)
+    with pytest.raises(XfemnavError, match=r"E504.*no cache of xfemnav"):
+        Cache(tmp_path)
+    assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("part", ["entries", "locks", "damaged"])
+def test_a_part_that_is_a_link_is_refused(tmp_path, part):
+    precious = tmp_path / "precious"
+    (precious / "ab" / KEY).mkdir(parents=True)
+    (precious / KEY).write_text("mine")
+    before = tree(precious)
+    for root in (tmp_path / "new", tmp_path / "tagged"):
+        root.mkdir()
+        if root.name == "tagged":
+            (root / TAG).write_bytes(TAGGED)
+        (root / part).symlink_to(precious)
+        with pytest.raises(XfemnavError, match=f"E504.*{part}"):
+            Cache(root)
+    assert tree(precious) == before
+
+
+def test_prune_takes_what_the_cache_has_made_and_nothing_else(tmp_path):
+    """Files of the user's in a cache, and whatever links lead to, stay."""
+    precious, cache = tmp_path / "precious", Cache(tmp_path / "cache")
+    for folder in (precious, precious / KEY):
+        folder.mkdir()
+        (folder / "mine.txt").write_text("mine")
+    entry = cache.obtain(digest("old"), build)[0].folder
+    root, other = cache.root, digest("linked")
+    for own in ("mine.txt", "entries/mine.txt", "damaged/mine.txt", "locks/mine.txt", f"entries/{KEY[:2]}/mine"):
+        (root / own).parent.mkdir(exist_ok=True)
+        (root / own).write_text("mine")
+    (root / "damaged" / "mine").mkdir()
+    (root / "entries" / "mine").mkdir()
+    for link in (f"entries/{other[:2]}/{other}", f"damaged/{KEY}-0", f"locks/{KEY}"):
+        (root / link).parent.mkdir(exist_ok=True)
+        (root / link).symlink_to(precious / KEY)
+    (root / "entries" / "ff").symlink_to(precious)
+    kept, made = tree(precious), {path for path in tree(root)}
+    (root / "damaged" / f"{KEY}-1").mkdir()
+    (root / "entries" / entry.parent.name / f".{KEY}.xfemnav-tmp").mkdir()
+    count, freed = Cache(root).prune(0)
+    assert count == 1 and freed > len(PAYLOAD) and not entry.exists() and tree(precious) == kept
+    gone = made - set(tree(root))
+    assert gone and all(digest("old") in name for name in gone)
+
+
+def test_a_cache_of_before_is_marked_and_goes_on(tmp_path):
+    cache = Cache(tmp_path)
+    cache.obtain(KEY, build)
+    (tmp_path / TAG).unlink()
+    assert Cache(tmp_path).obtain(KEY, refuse)[1] == "cached"
+    assert (tmp_path / TAG).read_bytes() == TAGGED
+
+
+@pytest.mark.parametrize("call, part", [("open", "locks"), ("mkdir", "entries"), ("rename", "entries")])
+def test_an_entry_that_cannot_be_written_goes_to_the_spare_cache(tmp_path, monkeypatch, call, part):
+    """A cache of two users: the locks and folders of the one are closed to the other."""
+    real = getattr(os, call)
+
+    def closed(path, *rest, **named):
+        if str(tmp_path / "shared" / part) in str(path):
+            raise PermissionError(13, "Permission denied")
+        return real(path, *rest, **named)
+
+    cache = Cache(tmp_path / "shared", lambda: Cache(tmp_path / "spare"))
+    monkeypatch.setattr(os, call, closed)
+    with pytest.warns(XfemnavWarning, match="W602.*Permission denied") as told:
+        entries = [cache.obtain(digest(n), build)[0] for n in range(3)]
+    assert len(told) == 1 and all(entry.folder.is_relative_to(tmp_path / "spare") for entry in entries)
+    with pytest.raises(XfemnavError, match="E502"):
+        Cache(tmp_path / "shared").obtain(KEY, build)
+
+
+@pytest.mark.parametrize("number, wanted", [(12, MemoryError), (28, XfemnavError), (5, XfemnavError)])
+def test_a_refusal_is_told_as_what_it_is(tmp_path, number, wanted):
+    def build_refused(folder):
+        raise OSError(number, os.strerror(number))
+
+    with pytest.raises(wanted, match={12: "allocate", 28: "E501", 5: "E502.*Input/output"}[number]):
+        Cache(tmp_path).obtain(KEY, build_refused)
+
+
+def test_an_error_without_a_number_keeps_its_words(tmp_path):
+    with pytest.raises(XfemnavError, match=r"E502.*no reason given by the system"), disk.writing(tmp_path, "a file"):
+        raise OSError("no reason given by the system")
 
 
 def test_root_that_cannot_be_made_is_refused_with_its_code(tmp_path):

@@ -19,7 +19,16 @@ from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 from xfemnav.pipeline import keys, stage_segment
 from xfemnav.pipeline.chain import recorded
 from xfemnav.pipeline.config import STAGES, configure
-from xfemnav.pipeline.runfile import public_name, run_schema
+from xfemnav.pipeline.runfile import (
+    CARRIED,
+    NAMES,
+    OWN_NAME,
+    PAGES,
+    WITH_SIDECAR,
+    public_name,
+    run_schema,
+    sidecar_name,
+)
 from xfemnav.pipeline.scenario import problems
 
 ROLES = {"mask", "mesh", "solution", "cuts", "updated", "cavity", "overlap", "lips", "field", "transform"}
@@ -309,6 +318,11 @@ def test_bids_names_keep_their_suffix():
     assert public_name(Path("sub-01_ses-a_desc-x_T1w.nii"), "updated") == "sub-01_ses-a_desc-updated_T1w.nii.gz"
     assert public_name(Path("sub-01_T1w.nii.gz"), "mask") == "sub-01_desc-brain_mask.nii.gz"
     assert public_name(Path("my_head.nii.gz"), "updated") == "my_head_desc-updated.nii.gz"
+    carried = [f"{role}:{which}" for role in CARRIED for which in ("motor", "sub-01_task-x_bold", "a b")]
+    roles, images = (*NAMES, *PAGES, "updated:open", "figure:open", *carried), ("sub-01_T1w.nii", "a b.mgz", "x" * 250)
+    names = [public_name(Path(image), role, ".trk") for role in roles for image in images]
+    names += [sidecar_name(name) for name in names if name.endswith(WITH_SIDECAR)]
+    assert [name for name in names if not OWN_NAME.fullmatch(name)] == []
 
 
 def test_recorded_keeps_foreign_warnings_going():

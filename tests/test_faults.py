@@ -324,6 +324,21 @@ def test_scenario_table_and_foreign_files_in_the_output_folder_are_never_overwri
     assert run(tmp_path, capfd, image, "--scenario", out / "case.toml")[0] == 0
 
 
+def test_a_file_that_somebody_wrote_into_the_record_is_not_removed(tmp_path, capfd):
+    """Only names that a run gives are the run's, wherever else a record lists them."""
+    image, out = write(tmp_path / "head.nii.gz"), tmp_path / "out"
+    assert run(tmp_path, capfd, image)[0] == 0
+    record = json.loads((out / "run.json").read_text())
+    mine = ("notes.txt", "thesis.pdf", "run.json.bak", "case.toml")
+    record["outputs"] |= {f"mine{k}": name for k, name in enumerate(mine)}
+    record["claims"] = [*mine, "../head.nii.gz", ".."]
+    (out / "run.json").write_text(json.dumps(record))
+    for name in mine:
+        (out / name).write_text("mine")
+    assert run(tmp_path, capfd, image, "--opening-mm", "3")[0] == 0
+    assert all((out / name).read_text() == "mine" for name in mine) and image.exists()
+
+
 def test_a_run_that_fails_leaves_an_earlier_result_as_it_is(tmp_path, capfd, monkeypatch):
     image, out = write(tmp_path / "head.nii.gz"), tmp_path / "out"
     assert run(tmp_path, capfd, image)[0] == 0

@@ -148,6 +148,8 @@ FAULTS: dict[str, Fault] = {
     "E502": Fault(73, "cannot write there", "The folder is read-only or belongs to somebody else.",
                   "Give another folder with `-o` or `-w`."),
     "E503": Fault(75, "another run holds this output folder", "Two runs write to one folder.", "Wait for it, or give another `-o`."),
+    "E504": Fault(73, "folder is no cache", "It holds files that xfemnav has not made, and a cache may be pruned.",
+                  "Give an empty folder, or one that is not there yet, with `-w`."),
     # 7xx: other files and settings
     "E701": Fault(65, "file cannot be read", "A file beside the image is not in its format.", "Write it again."),
     "E731": Fault(73, "output would overwrite a file that is not its own",

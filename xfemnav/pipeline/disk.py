@@ -10,7 +10,7 @@ from pathlib import Path
 
 from xfemnav.errors import XfemnavError
 
-FULL = (errno.ENOSPC, errno.EDQUOT)
+FULL, NO_MEMORY = (errno.ENOSPC, errno.EDQUOT), (errno.ENOMEM,)
 TEMPORARY = ".xfemnav-tmp"  # ending of files that a killed run may leave; the next run removes them
 
 NUMBERS = itertools.count()
@@ -18,14 +18,19 @@ NUMBERS = itertools.count()
 
 @contextmanager
 def writing(where: Path, what: str) -> Iterator[None]:
-    """Turn a full disk into E501 and any other refused write into E502; `what` names the thing that was written."""
+    """Turn a full disk into E501 and any other refused write into E502; `what` names the thing that was written.
+
+    Memory that the system refuses is no matter of the disk: MemoryError, which is told as E800.
+    """
     try:
         yield
     except OSError as error:
         if error.errno in FULL:
             raise XfemnavError("E501", f"no space left while writing {what} in {where}. Finished stages are kept; "
                                        "run the same command again after freeing space.") from error
-        raise XfemnavError("E502", f"cannot write {what} in {where}: {error.strerror}. "
+        if error.errno in NO_MEMORY:
+            raise MemoryError(f"while writing {what}: {error.strerror}") from error
+        raise XfemnavError("E502", f"cannot write {what} in {where}: {error.strerror or error}. "
                                    "Give another folder with -o or -w.") from error
 
 

@@ -15,6 +15,7 @@ from xfemnav.limits import INVERTED
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
+from xfemnav.pipeline.disk import writing
 from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 
@@ -61,16 +62,20 @@ def default_cache() -> Path:
 
 @contextmanager
 def opened_cache(root: Path) -> Iterator[tuple[Cache, tuple[Warned, ...]]]:
-    """The cache at `root`; when that cannot be written, a temporary one, with warning W602."""
+    """The cache at `root`; when that, or an entry of it, cannot be written, a temporary one, with warning W602."""
     with ExitStack() as stack:
+        def spare() -> Cache:
+            with writing(Path(os.environ.get("TMPDIR", "/tmp")), "temporary files"):
+                return Cache(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xfemnav-"))))
+
         warned = ()
         try:
-            cache = Cache(root)
+            cache = Cache(root, spare)
         except XfemnavError as error:
             if error.code != "E502":
                 raise
             warned = (Warned("W602", f"the cache folder {root} cannot be written; nothing is kept for the next run."),)
-            cache = Cache(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xfemnav-"))))
+            cache = spare()
         stack.enter_context(cache.in_use())
         yield cache, warned
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
+from xfemnav.pipeline.disk import writing
 
 LIMIT_S = 600.0
 
@@ -17,10 +18,11 @@ def locked(path: Path, *, shared: bool = False, waiting: Callable[[], None] = la
            limit_s: float = LIMIT_S) -> Iterator[None]:
     """Hold the lock on `path` (a folder, or a file that is made when missing).
 
-    `waiting` is called once if somebody else holds it. Raises XfemnavError E503 after `limit_s` seconds, E502 where the
-    disk has no locks.
+    `waiting` is called once if somebody else holds it. Raises XfemnavError E503 after `limit_s` seconds, E501 and E502
+    where it cannot be made, or the disk has no locks.
     """
-    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT, 0o666)
+    with writing(path.parent, f"the lock {path.name}"):
+        handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
         _take(handle, path, fcntl.LOCK_SH if shared else fcntl.LOCK_EX, waiting, limit_s)
         yield

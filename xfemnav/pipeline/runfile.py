@@ -58,6 +58,12 @@ DESCRIBED = SIDECARS | {
     "companion": {"Description": "Another image of the patient after the motion, on the grid of the updated slice"},
 }
 
+#: What a run calls its files: `public_name` of any image, step and carried file, and their sidecars.
+OWN_NAME = re.compile("|".join([
+    *(rf"{name}(_step-\w+)?{re.escape(ending)}" for name, ending in PAGES.values()),
+    *(r"[^/\0]*" + (f"_desc-{what}" if what else "") + (f"_{suffix}" if suffix else "(_[^/]+)?")
+      + (f"({re.escape(ending)}|[.]json)" if ending else r"[.]\w[\w.]*") for what, suffix, ending in NAMES.values())]))
+
 
 def json_text(value: dict) -> str:
     """JSON text of a public file: readable, and the same for the same value."""
@@ -208,10 +214,11 @@ class OutputFolder:
 
 
 def _claimed(record: dict) -> set[str]:
-    """Names of the files that a record claims, sidecars too; a name that leads elsewhere is left out."""
+    """Names of the files that a record claims, sidecars too. What a run would give no file is left out: somebody wrote
+    it there by hand."""
     outputs, claims = record.get("outputs"), record.get("claims")
     found = [*(outputs.values() if isinstance(outputs, dict) else ()), *(claims if isinstance(claims, list) else ())]
-    names = {name for name in found if isinstance(name, str) and os.sep not in name and name not in (".", "..")}
+    names = {name for name in found if isinstance(name, str) and OWN_NAME.fullmatch(name)}
     return names | {sidecar_name(name) for name in names if name.endswith(WITH_SIDECAR)}
 
 
