@@ -217,13 +217,20 @@ def test_kernels_have_a_place_where_nothing_can_be_written(monkeypatch):
     assert os.environ["NUMBA_CACHE_DIR"] and kernels.settle_kernel_cache() is None
 
 
-def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
-    """Numba sees no edit of a helper in another file than its caller's, so every code has a folder of its own."""
-    toy = tmp_path / "xfemnav"
-    for name in ("__init__", "errors", *(f"pipeline/{part}" for part in ("__init__", "kernels", "keys", "layers"))):
+def toy_package(folder):
+    """A package called xfemnav with what keeps kernels, and no kernels yet."""
+    toy = folder / "xfemnav"
+    for name in ("__init__", "errors", *(f"pipeline/{part}" for part in ("__init__", "kernels", "keys", "layers",
+                                                                         "disk"))):
         (toy / name).parent.mkdir(parents=True, exist_ok=True)
         (toy / f"{name}.py").write_bytes((keys.PACKAGE / f"{name}.py").read_bytes())
     (toy / "geometry").mkdir()
+    return toy
+
+
+def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
+    """Numba sees no edit of a helper in another file than its caller's, so every code has a folder of its own."""
+    toy = toy_package(tmp_path)
     kernel = "from numba import njit\n{}\n@njit(cache=True)\ndef {}():\n    return {}\n"
     (toy / "geometry" / "caller.py").write_text(
         kernel.format("from xfemnav.geometry.helper import helper", "caller", "helper()"))
@@ -254,6 +261,29 @@ def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
     assert len(folders) == 2 and all(list(folder.rglob("*caller*.nbc")) for folder in folders)
     assert {path.parent.name for path in keys.PACKAGE.rglob("*.py") if "import njit" in path.read_text()} == set(
         kernels.LAYERS)
+
+
+def test_damaged_kernels_are_compiled_anew(tmp_path, monkeypatch):
+    """A flipped bit in compiled code would be a crash of the interpreter, in every run until somebody looks."""
+    toy = toy_package(tmp_path)
+    (toy / "geometry" / "one.py").write_text("from numba import njit\n@njit(cache=True)\ndef one():\n    return 1\n")
+    command = ("from xfemnav.pipeline.kernels import settle_kernel_cache; settle_kernel_cache()\n"
+               "from xfemnav.geometry.one import one; print(one(), sum(one.stats.cache_hits.values()))")
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+
+    def run():
+        return subprocess.run([sys.executable, "-c", command], cwd=tmp_path, capture_output=True, text=True,
+                              check=True).stdout.split()
+
+    assert run() == ["1", "0"] and run() == ["1", "1"]
+    folder, = (toy / "__pycache__").glob(f"{kernels.NAME}*")
+    for pattern in ("*.nbc", "*.nbi", kernels.SEALED):
+        for path in folder.rglob(pattern):
+            data = bytearray(path.read_bytes())
+            for at in range(len(data) // 3, len(data), 97):
+                data[at] ^= 0x10
+            path.write_bytes(data)
+        assert run() == ["1", "0"] and run() == ["1", "1"], pattern
 
 
 def test_transforms_for_other_programs(opened, tmp_path):

@@ -3,9 +3,14 @@
 Numba compiles a kernel anew when its own file changes, but not when a helper or constant in another file does. So
 kernels are kept in a folder named by the digest of all code that they can be made of, the modules with kernels and all
 that those import: other code finds none of them, and an edit of a reader of files spares them.
+
+A kernel is machine code, and a damaged one ends the process. So their digests are kept beside them, and those that do
+not match are removed before numba looks for any. A kernel is run as it is found: who may write into the folder may run
+what he likes, so it must not be shared.
 """
 
 import atexit
+import json
 import os
 import re
 import shutil
@@ -16,11 +21,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from xfemnav.pipeline.keys import PACKAGE, source_digest
+from xfemnav.errors import XfemnavError
+from xfemnav.pipeline.disk import write_atomic
+from xfemnav.pipeline.keys import PACKAGE, canonical, file_digest, source_digest
 
 LAYERS = ("geometry", "mechanics", "imaging")  # where kernels stand
 NAME = "xfemnav-kernels-"
 SLOW = ("mesh", "constrain", "solve", "warp")  # stages whose kernels take seconds to compile
+SEALED, COMPILED = "sealed.json", "*.nb[ic]"  # digests of kernels by their names, and what numba calls its files
 IMPORT = re.compile(r"^\s*from (xfemnav[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 FORGET_S = 30 * 86400  # kernels of other code are removed when nothing has been added to them for so long
 
@@ -46,6 +54,8 @@ def settle_kernel_cache() -> str | None:
         base = Path(tempfile.mkdtemp(prefix="xfemnav-"))
         atexit.register(shutil.rmtree, base, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = str(base / name)
+    _remove_damaged(base / name)
+    atexit.register(_seal, base / name)
     if "numba" in sys.modules:
         sys.modules["numba"].config.reload_config()
     for other in base.glob(f"{NAME}*"):
@@ -83,6 +93,32 @@ def compiling(stage: str, tell: Callable[[], None]) -> Iterator[None]:
         with suppress(OSError):  # then it is told again
             done.parent.mkdir(parents=True, exist_ok=True)
             done.touch()
+        _seal(done.parent)
+
+
+def _remove_damaged(folder: Path) -> None:
+    """Remove the kernels in `folder` that are not as they were sealed; all, where the seal itself is damaged."""
+    try:
+        sealed = json.loads((folder / SEALED).read_bytes())
+        names = {name for name, digest in sealed.items() if isinstance(digest, str)}
+    except FileNotFoundError:
+        return  # none is sealed yet
+    except (OSError, ValueError, AttributeError):
+        shutil.rmtree(folder, ignore_errors=True)
+        return
+    for name in names:
+        with suppress(FileNotFoundError):  # numba, or another process, has replaced it
+            path = folder / name
+            if path.is_file() and file_digest(path) != sealed[name]:
+                path.unlink()
+
+
+def _seal(folder: Path) -> None:
+    """Keep the digests of the kernels in `folder`; where that cannot be written, they are not looked at later."""
+    with suppress(OSError, XfemnavError):
+        found = {path.relative_to(folder).as_posix(): file_digest(path) for path in sorted(folder.rglob(COMPILED))}
+        if found:
+            write_atomic(folder / SEALED, canonical(found))
 
 
 def _places() -> Iterator[Path]:
