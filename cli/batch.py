@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from xfemnav.errors import EXIT_OK, EXIT_SOME_FAILED, EXIT_UNTRUSTED
-from xfemnav_cli.telling import printable
+from xfemnav_cli.telling import printable, say
 
 IMAGE_SUFFIXES = (".nii.gz", ".nii", ".mgz", ".mgh", ".nrrd", ".nhdr", ".mha", ".mhd")
 
@@ -79,7 +79,7 @@ def run_items(items: list[Item], jobs: int) -> list[Outcome]:
         waiting = [pool.submit(run_item, item, started) for item in items]
         try:
             for number, done in enumerate(as_completed(waiting), 1):
-                click.echo(f"[{number}/{len(items)}] {done.result().row()}")
+                say(f"[{number}/{len(items)}] {done.result().row()}")
         except BaseException:
             # Ctrl-C and kill end the running slices too; their finished stages are in the cache.
             pool.shutdown(wait=False, cancel_futures=True)
@@ -106,9 +106,10 @@ def batch(source: Path, target: Path, jobs: int):
         raise click.UsageError(f"{printable(str(source))} holds no <stem>.toml of a <stem>.nii.gz or .nii.")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     outcomes = run_items(items, jobs)
-    click.echo("\nslice                    result     stages             message")
+    say("")
+    say("slice                    result     stages             message")
     for outcome in outcomes:
-        click.echo(outcome.row())
+        say(outcome.row())
     counts = Counter(outcome.result for outcome in outcomes)
-    click.echo(", ".join(f"{counts[result]} {result}" for result in ("updated", "untrusted", "failed")))
+    say(", ".join(f"{counts[result]} {result}" for result in ("updated", "untrusted", "failed")))
     return EXIT_OK if counts["updated"] == len(items) else EXIT_SOME_FAILED

@@ -1,15 +1,18 @@
 """The `xfemnav` command: commands by name, errors as one line with a code, exit codes as documented."""
 
 import atexit
+import errno
 import gc
+import io
+import os
 import sys
 import traceback
 
 import click
 
 from xfemnav import __version__
-from xfemnav.errors import EXIT_BUG, EXIT_DATA, EXIT_USAGE, FAULTS, XfemnavError
-from xfemnav_cli import batch, run, tools
+from xfemnav.errors import EXIT_BUG, EXIT_DATA, EXIT_OK, EXIT_UNTRUSTED, EXIT_USAGE, FAULTS, XfemnavError
+from xfemnav_cli import batch, run, telling, tools
 from xfemnav_cli.telling import complain, printable
 
 
@@ -29,6 +32,7 @@ for command in (run.run, *run.stage_commands, run.demo, batch.batch, tools.check
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line and leave the process with its exit code."""
+    _open_standard_streams()
     # Imports make hundreds of thousands of objects that stay: searching them for cycles again and again costs .2 s,
     # and once more when the interpreter ends as much again.
     gc.set_threshold(100_000)
@@ -38,7 +42,9 @@ def main(argv: list[str] | None = None) -> None:
     try:
         code = cli.main(argv, prog_name="xfemnav", standalone_mode=False) or 0
     except click.UsageError as error:
-        error.show()
+        text = io.StringIO()
+        error.show(text)
+        telling.put(text.getvalue().rstrip("\n"), on_stderr=True)
         code = EXIT_USAGE
     except click.ClickException as error:
         complain(error.format_message())
@@ -54,10 +60,34 @@ def main(argv: list[str] | None = None) -> None:
         complain(f"E800 not enough memory ({error}): use larger elements (--element-size-mm), a smaller image, or a "
                  "machine with more memory.")
         code = FAULTS["E800"].exit_code
-    except Exception as error:  # the last resort: what gets here is a bug, and is told as one
-        if traced:
-            traceback.print_exc()
-        complain(f"E900 this is a bug in xfemnav: {printable(f'{type(error).__name__}: {error}')}. "
-                 "Run the same command with -vv and report what it prints.")
-        code = EXIT_BUG
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            code = _bug(error, traced)
+        else:  # a text of click's own, as --help; all else is translated where it is written
+            telling.give_up(sys.stdout)
+            telling.refused.append(error.strerror)
+            code = EXIT_OK
+    except Exception as error:
+        code = _bug(error, traced)
+    if telling.refused and code in (EXIT_OK, EXIT_UNTRUSTED):
+        complain(f"E501 standard output cannot be written: {telling.refused[0]}. Files that were made are complete.")
+        code = FAULTS["E501"].exit_code
     sys.exit(code)
+
+
+def _bug(error: Exception, traced: bool) -> int:
+    """The last resort: what nobody has foreseen is a bug, and is told as one."""
+    if traced:
+        traceback.print_exc()
+    complain(f"E900 this is a bug in xfemnav: {printable(f'{type(error).__name__}: {error}')}. "
+             "Run the same command with -vv and report what it prints.")
+    return EXIT_BUG
+
+
+def _open_standard_streams() -> None:
+    """Give a stream that is closed /dev/null, or the next file to be opened would get its number, and its text."""
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)

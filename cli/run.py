@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from xfemnav.errors import EXIT_UNTRUSTED, XfemnavError
-from xfemnav_cli.telling import Teller, complain
+from xfemnav_cli.telling import Teller, complain, give_up
 
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
 FILE = click.Path(path_type=Path)
@@ -190,7 +190,7 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         complain("interrupted; finished stages are kept, so the same command goes on from there.")
         return 128 + error.signum
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it ends
+        give_up(sys.stdout)
         return 128 + signal.SIGPIPE
     finally:
         teller.stop()

@@ -1,6 +1,7 @@
 """What the command says: one line a stage, one line an error, nothing that a terminal would obey."""
 
 import json
+import os
 import sys
 import threading
 
@@ -12,9 +13,37 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
 
 
+refused: list[str] = []  # why stdout could not be written
+
+
+def put(text: str, *, on_stderr: bool = False) -> None:
+    """Print text as it is, and a line's end, on stdout or stderr; where nothing can be written, go on without."""
+    stream = sys.stderr if on_stderr else sys.stdout
+    if stream is None:  # closed by whoever started us
+        return
+    try:
+        print(text, file=stream, flush=True)
+    except BrokenPipeError:  # nobody listens any more
+        raise
+    except OSError as error:
+        give_up(stream)
+        if not on_stderr:
+            refused.append(error.strerror)
+
+
+def give_up(stream) -> None:
+    """Let a stream that cannot be written lead nowhere, or the interpreter tries again when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def say(text: str) -> None:
+    """Print one line on stdout."""
+    put(printable(text))
+
+
 def complain(text: str) -> None:
     """Print one line on stderr."""
-    print(printable(text), file=sys.stderr, flush=True)
+    put(printable(text), on_stderr=True)
 
 
 class Teller:
@@ -28,11 +57,11 @@ class Teller:
     def say(self, text: str) -> None:
         """One line of human text."""
         if not self.quiet:
-            print(printable(text), file=sys.stderr if self.as_json else sys.stdout, flush=True)
+            put(printable(text), on_stderr=self.as_json)
 
     def started(self, stage: str) -> None:
         """A stage has begun: on a terminal, show after a moment that it works."""
-        if sys.stderr.isatty() and not self.quiet:
+        if sys.stderr is not None and sys.stderr.isatty() and not self.quiet:
             self.timer = threading.Timer(PATIENCE_S, self._spin, (stage,))
             self.timer.daemon = True
             self.timer.start()
@@ -78,4 +107,4 @@ class Teller:
 
     def json(self, value: dict) -> None:
         """The one object on stdout."""
-        print(json.dumps(value, indent=2, sort_keys=True, allow_nan=False), flush=True)
+        put(json.dumps(value, indent=2, sort_keys=True, allow_nan=False))

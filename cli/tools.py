@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from xfemnav.errors import EXIT_CONFIG, EXIT_DATA, EXIT_SOME_FAILED, EXIT_UNTRUSTED, XfemnavError
-from xfemnav_cli.telling import complain, printable
+from xfemnav_cli.telling import complain, put, say
 
 FILE = click.Path(path_type=Path)
 FOLDER = click.option("-w", "--cache", "root", type=FILE, metavar="DIR",
@@ -21,9 +21,9 @@ def check(scenario):
 
     found = scenario_problems(scenario)
     for line in found:
-        click.echo(line)
+        say(line)
     if not found:
-        click.echo(f"{scenario}: no problem found")
+        say(f"{scenario}: no problem found")
     return EXIT_CONFIG if found else 0
 
 
@@ -39,7 +39,7 @@ def schema(which):
         from xfemnav.pipeline.scenario import Scenario
 
         found = Scenario.model_json_schema()
-    click.echo(json.dumps(found, indent=2))
+    put(json.dumps(found, indent=2))
 
 
 @click.command()
@@ -79,7 +79,7 @@ def apply(folder, files, output, step, force, **choices):
             failed.append(error.exit_code or EXIT_DATA)
             continue
         kept.add(done.target)
-        click.echo(printable(f"{path} -> {done.target}  {done.text}"))
+        say(f"{path} -> {done.target}  {done.text}")
         for item in done.warnings:
             complain(f"{path}: {item.code} {item.text}")
     if failed:
@@ -99,7 +99,7 @@ def doctor(root):
 
     code = 0
     for found in examine(root or default_cache()):
-        click.echo(printable(found.line))
+        say(found.line)
         code = code or found.exit_code
     return code
 
@@ -124,8 +124,8 @@ def ls(root):
     keys = found.keys()
     sizes = dict(zip(keys, map(found.size, keys)))
     for key, size in sizes.items():
-        click.echo(f"{key[:12]}  {size / 1e6:9.3f} MB")
-    click.echo(f"{len(sizes)} entries, {sum(sizes.values()) / 1e6:.1f} MB in {found.root}")
+        say(f"{key[:12]}  {size / 1e6:9.3f} MB")
+    say(f"{len(sizes)} entries, {sum(sizes.values()) / 1e6:.1f} MB in {found.root}")
 
 
 @cache.command()
@@ -135,8 +135,8 @@ def verify(root):
     found = _opened(root)
     damaged = found.set_aside_damaged()
     for key in damaged:
-        click.echo(f"{key[:12]}  damaged, set aside")
-    click.echo(f"{len(found.keys())} entries are whole, {len(damaged)} were damaged")
+        say(f"{key[:12]}  damaged, set aside")
+    say(f"{len(found.keys())} entries are whole, {len(damaged)} were damaged")
     return EXIT_DATA if damaged else 0
 
 
@@ -146,4 +146,4 @@ def verify(root):
 def prune(root, days):
     """Remove entries that were not used for some days, and all debris."""
     count, size = _opened(root).prune(days * 86400)
-    click.echo(f"{count} entries removed, {size / 1e6:.1f} MB freed")
+    say(f"{count} entries removed, {size / 1e6:.1f} MB freed")

@@ -5,6 +5,7 @@ import itertools
 import json
 import os
 import random
+import shlex
 import shutil
 import signal
 import subprocess
@@ -125,6 +126,33 @@ def test_reader_that_goes_away_is_no_traceback(head, arguments):
         jsonschema.validate(record, run_schema())
         assert process.returncode == 141 == record["exit_code"] and record["status"] == "interrupted"
     process.stderr.close()
+
+
+@pytest.mark.parametrize("streams, wanted", [("> /dev/full", 74), ("2> /dev/full", 0), ("> /dev/full 2>&1", 74),
+                                             ("2>&-", 0), (">&-", 0), ("<&- >&- 2>&-", 0)])
+@pytest.mark.parametrize("more", ["", " --json"])
+def test_a_run_is_whole_where_nothing_can_be_said(head, capfd, streams, wanted, more):
+    """A full or closed stdout or stderr is no reason to lose a result, nor to write a text into its files."""
+    assert xfemnav(capfd, *command(head, "-o", "spoken"))[0] == 0
+    line = shlex.join([*XFEMNAV, *command(head, "-o", "mute")])
+    done = subprocess.run(["sh", "-c", f"{line}{more} {streams}"], capture_output=True, text=True)
+    assert done.returncode == wanted and "Traceback" not in done.stderr
+    assert outputs(head.parent / "mute") == outputs(head.parent / "spoken")
+
+
+@pytest.mark.parametrize("line", ["--help", "schema", "doctor", "check case.toml", "cache ls"])
+def test_a_text_that_cannot_be_written_is_no_bug(head, line):
+    (head.parent / "case.toml").write_text("xfemnav = 1\n")
+    done = subprocess.run(["sh", "-c", f"{shlex.join(XFEMNAV)} {line} > /dev/full"], capture_output=True, text=True)
+    assert done.returncode in ((78, 74) if line.startswith("check") else (74,)) and "E900" not in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_names_from_a_scenario_and_a_cache_cannot_drive_the_terminal(head, capfd):
+    (head.parent / "case\x1b[2J.toml").write_text('xfemnav = 1\nimage = "head.nii.gz"\n"\\u001b[31mred" = 1\n')
+    for arguments in (("check", "case\x1b[2J.toml"), ("cache", "ls", "-w", "c\x1b[2J")):
+        code, stdout, stderr = xfemnav(capfd, *arguments)
+        assert code in (0, 78) and stdout and "\x1b" not in stdout + stderr
 
 
 def test_printable_keeps_a_message_on_one_line():
