@@ -1,6 +1,8 @@
 """A finished run applied to what comes later: as the run itself would have carried it, never over what is there."""
 
 import json
+import os
+import shutil
 import warnings
 
 import nibabel as nib
@@ -200,3 +202,57 @@ def test_options_of_images_do_what_they_say(home, result, tmp_path, capfd):
     assert (found[update.cavity] == -9).all() and update.cavity.any()
     assert (found[~update.pull_back.tissue & ~update.cavity & ~update.vacated] == 0).all()
     assert set(np.unique(found)) <= {-9.0, 0.0, *np.unique(brain().astype(float))}
+
+
+def places(value, at=()):
+    """Every place in nested JSON."""
+    yield at
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in inside:
+        yield from places(inner, (*at, key))
+
+
+def changed(record, at, value):
+    """A copy of a record with another value at a place; None: without it."""
+    copy = json.loads(json.dumps(record))
+    inner = copy
+    for key in at[:-1]:
+        inner = inner[key]
+    if value is None:
+        del inner[at[-1]]
+    else:
+        inner[at[-1]] = value
+    return copy
+
+
+def test_a_record_that_somebody_has_damaged_is_told_as_damaged(home, tmp_path, capfd):
+    """Everything that `apply` relies on is left out, or something else: an error with a code, or what came before."""
+    record = json.loads((home / "out" / "run.json").read_text())
+    shutil.copytree(home / "out", tmp_path / "run")
+    read = ("schema", "status", "outputs", "slice", "cuts", "version")
+    relied = [at for at in places(record) if at and at[0] in read]
+    assert len(relied) > 40
+    codes = set()
+    for n, at in enumerate(relied):
+        wrong = (None, -1, "x", {}, [], "../head.nii.gz", True, 1e308)
+        value = wrong[n % len(wrong)]
+        (tmp_path / "run" / "run.json").write_text(json.dumps(changed(record, at, value)))
+        code, _, stderr = xfemnav(capfd, "apply", tmp_path / "run", home / "marks.tag", "-o", tmp_path / "t", "--force")
+        assert code in (0, 65, 66), (at, value, stderr)
+        codes.add(code)
+    assert codes >= {0, 65}
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "[" * 100_000, '{"schema": "xfemnav-run/1"}', b"\xff\xfe"])
+def test_what_is_no_record_is_told_so(home, tmp_path, capfd, text):
+    (tmp_path / "run.json").write_bytes(text if isinstance(text, bytes) else text.encode())
+    code, _, stderr = xfemnav(capfd, "apply", tmp_path, home / "marks.tag", "-o", tmp_path)
+    assert code == 65 and stderr.startswith("E701")
+
+
+def test_a_pipe_in_the_place_of_the_record_is_not_waited_for(home, tmp_path, capfd):
+    os.mkfifo(tmp_path / "run.json")
+    code, _, stderr = xfemnav(capfd, "apply", tmp_path, home / "marks.tag", "-o", tmp_path)
+    assert code == 65 and "pipe" in stderr
+    code, _, stderr = xfemnav(capfd, "run", home / "head.nii.gz", *QUICK, "--cut", CUT, "-o", tmp_path)
+    assert code == 73 and stderr.startswith("E731")

@@ -215,3 +215,32 @@ def test_configuring_imports_no_numerics():
             "configure('a.nii', flags={'cut': ('0,0 1,1',)});"
             "assert not {'numpy', 'scipy', 'nibabel'} & set(sys.modules)")
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+ANYTHING = st.sampled_from([None, True, -1, 10**400, 1e308, float("nan"), "", "cut", "gravity", "\0", [], [[]], [[[]]],
+                            {}, [{}], [None], ["cut", 1], [1e308, 0], [[0, 0], [0, "x"]], {"name": []}, {"1": []},
+                            [{"name": {}, "on": []}], [{"start": 1}]])
+PLACES = st.sampled_from([(section, key) for section, keys in {
+    "cut": ("name", "points", "markups", "smooth"), "retract": ("name", "cut", "side", "normal_mm", "blade"),
+    "resect": ("name", "outline", "label", "mask"), "step": ("name", "acts", "ends", "frame"),
+    "companion": ("image", "kind", "axes"), "load": ("gravity", "pressure", "fluid_level_mm"),
+    "boundary": ("skull", "arc", "displacement"), "tissue": ("young_kpa", "labels", "by_label"),
+    "mesh": ("file", "corridor"), "slice": ("index", "plane"),
+}.items() for key in keys])
+
+
+@settings(max_examples=300)
+@given(st.lists(st.tuples(PLACES, ANYTHING, st.booleans()), max_size=6),
+       st.dictionaries(st.sampled_from(["cut", "retract", "step", "load", "tissue", "slice"]), ANYTHING, max_size=2))
+def test_no_value_of_a_scenario_is_a_bug(places, sections):
+    """Whatever stands where a name, a number or a table should: problems in words."""
+    raw = {"xfemnav": 1, "image": "head.nii.gz", "cut": [{"points": [[0, 0], [1, 1]]}]}
+    for (section, key), value, as_array in places:
+        items = raw.setdefault(section, [{}] if as_array else {})
+        (items[0] if isinstance(items, list) else items)[key] = value
+    assert all(isinstance(text, str) for text in problems(raw | sections))
+
+
+def test_directions_as_large_as_numbers_go_are_told():
+    for gravity in ([0, 1e308], [1e308, 1e308], [0, 0], [1e-200, 0]):
+        assert "gravity must be a direction" in "\n".join(problems({"xfemnav": 1, "load": {"gravity": gravity}}))

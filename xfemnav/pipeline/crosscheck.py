@@ -19,7 +19,7 @@ def cross_problems(raw: dict) -> list[str]:
 
 def retraction_name(retract: dict, first_cut: str) -> str:
     """What steps call a retraction of a raw scenario."""
-    return retract.get("name") or f"{retract.get('cut') or first_cut} {retract.get('side')}"
+    return str(retract.get("name") or "") or f"{retract.get('cut') or first_cut} {retract.get('side')}"
 
 
 def actors(raw: dict) -> dict[str, list[str]]:
@@ -98,7 +98,7 @@ def _steps(raw):
     load = raw.get("load") if isinstance(raw.get("load"), dict) else {}
     wall_of = {name: str(item.get("on")) for name, item in zip(known["pressure"], tables(load, "pressure"))}
     steps = tables(raw, "step")
-    acts = {str(name) for step in steps for name in _names(step, "acts")}
+    acts = {name for step in steps for name in _names(step, "acts")}
     acting |= set(every) - acts
     for i, step in enumerate(steps):
         for name in _names(step, "acts"):
@@ -107,13 +107,13 @@ def _steps(raw):
             elif name in named:
                 found.append(f"step.{i}.acts: '{name}' acts already")
             named.add(name)
-        acting |= {str(name) for name in _names(step, "acts")}
+        acting |= set(_names(step, "acts"))
         for name in _names(step, "ends"):
             if name not in may_end:
                 found.append(f"step.{i}.ends: '{name}' is no retraction, pressure or gravity{_near(name, may_end)}")
             elif name not in acting:
                 found.append(f"step.{i}.ends: '{name}' does not act by then")
-            acting.discard(str(name))
+            acting.discard(name)
         found += [f"step.{i}: '{blade}' acts before its cut '{cut}'" for blade, cut in cut_of.items()
                   if blade in acting and cut in every and cut not in acting]
         found += [f"step.{i}: the pressure '{pressure}' acts before the resection '{on}'"
@@ -121,9 +121,10 @@ def _steps(raw):
     return found
 
 
-def _names(step: dict, key: str) -> list:
+def _names(step: dict, key: str) -> list[str]:
+    """The names in a list of a step; what else is in it is the schema's to refuse."""
     names = step.get(key, ())
-    return list(names) if isinstance(names, list | tuple) else []
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list | tuple) else []
 
 
 def _near(name, known) -> str:

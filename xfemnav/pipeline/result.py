@@ -11,7 +11,7 @@ from xfemnav.pipeline import job
 from xfemnav.pipeline.config import STAGES, configure
 from xfemnav.pipeline.disk import write_atomic
 from xfemnav.pipeline.kernels import settle_kernel_cache
-from xfemnav.pipeline.runfile import read_record
+from xfemnav.pipeline.record import read_record
 
 SIDES = {"left": 1, "right": -1}
 
@@ -223,6 +223,8 @@ class Result:
         return (self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]).reshape(points.shape)
 
     def _path(self, role: str) -> Path:
+        if role not in self.record["outputs"]:
+            raise XfemnavError("E701", f"the record of the run in {self.folder} names no {role}. Run it again.")
         return self.folder / self.record["outputs"][role]
 
 

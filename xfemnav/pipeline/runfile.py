@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
+from xfemnav.imaging.content import file_bytes
 from xfemnav.imaging.sidecars import SIDECARS
 from xfemnav.pipeline.disk import remove_temporaries, write_atomic, write_together, writing
 from xfemnav.pipeline.keys import file_digest
@@ -21,7 +22,7 @@ from xfemnav.pipeline.locks import locked
 
 RECORD = "run.json"
 LONGEST_NAME = 255  # bytes, on the usual file systems
-SCHEMA = "xfemnav-run/1"
+SCHEMA, LIMIT_BYTES = "xfemnav-run/1", 50_000_000
 BIDS = re.compile(r"(sub-[A-Za-z0-9]+(?:_[a-z]+-[A-Za-z0-9]+)*)_([A-Za-z0-9]+)$")
 #: role: (description entity, suffix; None keeps the image's own, ending)
 NAMES = {
@@ -110,23 +111,12 @@ def sidecar_name(name: str) -> str:
     return re.sub(r"\.(nii\.gz|nrrd|h5)$", "", name) + ".json"
 
 
-def read_record(folder: Path) -> dict:
-    """The record of the run in `folder`. Raises E100 when there is none and E701 when it is no record of ours."""
-    path = folder / RECORD
-    if not path.is_file():
-        raise XfemnavError("E100", f"no {RECORD} in {folder}. Give the output folder of a run.")
-    record = _record_in(path)
-    if record is None:
-        raise XfemnavError("E701", f"{path} is no {SCHEMA} record. Run the command again.")
-    return record
-
-
 def _record_in(path: Path) -> dict | None:
-    """The record in a file, None when it is no record of ours."""
+    """The record in a file, None when it is no record of ours; a pipe is never waited for."""
     try:
-        record = json.loads(path.read_bytes())
+        record = json.loads(file_bytes(path, LIMIT_BYTES))
         return record if record["schema"] == SCHEMA else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (XfemnavError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 

@@ -5,6 +5,7 @@ the flag that sets it, and the nearest valid name for one that is not known.
 """
 
 import difflib
+import math
 import os
 import re
 import tomllib
@@ -218,7 +219,7 @@ class LoadSection(Section):
 
     @model_validator(mode="after")
     def _a_direction(self):
-        if self.gravity is not None and not 1e-6 < self.gravity[0] ** 2 + self.gravity[1] ** 2 <= 1.0001:
+        if self.gravity is not None and not 1e-3 < math.hypot(*self.gravity) <= 1.00005:
             raise ValueError("gravity must be a direction whose length is more than 0 and at most 1")
         return self
 

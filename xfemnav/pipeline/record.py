@@ -1,0 +1,83 @@
+"""A finished run's record, opened again: what of run.json must be there, and of what form, before it is relied on.
+
+Somebody may have edited the file, or half of it may be lost; the program that wrote it may have been another version.
+"""
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from xfemnav.errors import FAULTS, XfemnavError
+from xfemnav.imaging.content import file_bytes
+from xfemnav.pipeline.runfile import LIMIT_BYTES, OWN_NAME, RECORD, SCHEMA
+
+
+def _own_name(name: str) -> str:
+    if not OWN_NAME.fullmatch(name):
+        raise ValueError("no name that a run gives to a file")
+    return name
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # mm
+
+
+class _Cut(_Part):
+    name: str
+    path: Annotated[list[tuple[Coordinate, Coordinate]], Field(min_length=2)]
+
+
+class _Step(_Part):
+    name: str
+    cuts: list[_Cut]
+
+
+class _Slice(_Part):
+    plane: Literal["axial", "coronal", "sagittal"]
+
+
+class _Error(_Part):
+    code: Literal[tuple(FAULTS)]
+    text: str
+
+
+class _Record(_Part):
+    status: Literal["complete", "untrusted", "failed", "interrupted"]
+    outputs: dict[str, Annotated[str, AfterValidator(_own_name)]]
+    slice: _Slice | None = None
+    cuts: list[_Cut] | None = None
+    steps: list[_Step] = []
+    error: _Error | None = None
+
+    @model_validator(mode="after")
+    def _whole(self):
+        if "solution" in self.outputs and (self.slice is None or self.cuts is None):
+            raise ValueError("it has a solution, but no slice or no cuts")
+        if self.status == "untrusted" and self.error is None:
+            raise ValueError("it is untrusted and does not say why")
+        return self
+
+
+def read_record(folder: Path) -> dict:
+    """The record of the run in `folder`. Raises E100 when there is none and E701 when it is no record of ours."""
+    path = folder / RECORD
+    if not path.exists():
+        raise XfemnavError("E100", f"no {RECORD} in {folder}. Give the output folder of a run.")
+    try:
+        text = file_bytes(path, LIMIT_BYTES)
+        record = json.loads(text)
+        if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+            raise ValueError(f"its schema is not {SCHEMA}")
+        _Record.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        place = ".".join(map(str, first["loc"])) or "it"
+        raise XfemnavError("E701", f"{path} is damaged: {place}: {first['msg']}. Run the command again.") from None
+    except (ValueError, RecursionError, XfemnavError) as error:
+        raise XfemnavError("E701", f"{path} is no {SCHEMA} record ({error}). Run the command again.") from None
+    return record
