@@ -409,6 +409,14 @@ def test_bombs_are_left_when_the_header_is_satisfied(tmp_path):
         assert code_of(path) == "E102"
         assert tracemalloc.get_traced_memory()[1] < 5 * len(content) + 12e6
         tracemalloc.stop()
+    for make, fields, name in ((nrrd, {"encoding": "gzip"}, "v.nrrd.gz"),
+                               (mha, {"CompressedData": "True"}, "v.mha.gz")):
+        packed = gzip.compress(make(fields=fields, data=bytes(150_000_000)), 1)  # packed twice, the inner one no stream
+        tracemalloc.start()
+        with pytest.raises(XfemnavError, match=r"E102 .* packs"):
+            read_image(put(tmp_path, packed, name))
+        assert tracemalloc.get_traced_memory()[1] < 30e6
+        tracemalloc.stop()
     longer = zlib.compress(counts().tobytes("F")) + b"x"
     assert code_of(put(tmp_path, mha(fields={"CompressedData": "True"}, data=longer), "v.mha")) == "E101"
 

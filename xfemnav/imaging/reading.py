@@ -208,7 +208,11 @@ def _voxel_bytes(header, head: bytes, stream, limit: int, name: str) -> memoryvi
     """Bytes of the voxels, and of what may follow them, from a file's first bytes `head` and the `stream` after it."""
     start = header.offset
     if header.packing:
-        packed = head + content.read(stream, limit, name)
+        most = min(limit, start + header.n_bytes + header.n_bytes // 100 + content.CHUNK)
+        packed = head + content.read(stream, max(most + 1 - len(head), 0), name)
+        if len(packed) > most:
+            raise XfemnavError("E102", f"{name} packs {header.n_bytes} bytes of voxels into more than {most}, so its "
+                                       "header or its content is wrong. Convert it again from its source.")
         unpacked = io.BytesIO(packed[start:])
         stream = gzip.GzipFile(fileobj=unpacked) if header.packing == "gzip" else content.Zlib(packed[start:])
         head, start = b"", 0
