@@ -28,7 +28,7 @@ from xfemnav.pipeline.keys import PACKAGE, canonical, file_digest, source_digest
 LAYERS = ("geometry", "mechanics", "imaging")  # where kernels stand
 NAME = "xfemnav-kernels-"
 SLOW = ("mesh", "constrain", "solve", "warp")  # stages whose kernels take seconds to compile
-SEALED, COMPILED = "sealed.json", "*.nb[ic]"  # digests of kernels by their names, and what numba calls its files
+SEALED, COMPILED = "sealed", "*.nb[ic]"  # digests of kernels by their names, and what numba calls its files
 IMPORT = re.compile(r"^\s*from (xfemnav[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 FORGET_S = 30 * 86400  # kernels of other code are removed when nothing has been added to them for so long
 
