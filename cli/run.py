@@ -19,6 +19,8 @@ def _choice(*names: str) -> click.Choice:
     return click.Choice(names, case_sensitive=False)
 
 
+NIFTI_FRAME = click.option("--nifti-frame", type=_choice("auto", "sform", "qform"),
+                           help="Which frame of a NIfTI header with two is taken.  [auto: the sform]")
 INPUT = (
     click.option("--scenario", type=FILE, help="TOML file with the same settings; flags win over it."),
     click.option("--slice", type=int, metavar="K", help="Voxel index of the slice in a volume."),
@@ -33,6 +35,7 @@ INPUT = (
     click.option("--volume", type=int, metavar="N", help="Which volume of a 4-D image."),
     click.option("--nan", type=float, metavar="VALUE", help="Value for NaN and infinite voxels."),
     click.option("--spacing", metavar="DX,DY[,DZ]", help="Pixel sizes, mm, in place of the header's frame."),
+    NIFTI_FRAME,
     click.option("--space", type=_choice("ras", "lps", "voxel"),
                  help="How points are read; vectors of lips are plane RAS in each.  [ras]"),
     click.option("--max-memory", type=float, metavar="GB", help="Largest image to read.  [4]"),
@@ -148,7 +151,7 @@ stage_commands = (
 
 
 @click.command()
-@_with(MESH, MECHANICS, WARP, CARRIED, RUNNING, WHOLE)
+@_with(MESH, MECHANICS, WARP, (NIFTI_FRAME, *CARRIED), RUNNING, WHOLE)
 def demo(**given):
     """The paper's experiment on a real slice: MNI152 T1, axial z = +18 mm, cut and opened by +-(3.5, 1) mm.
 

@@ -55,6 +55,8 @@ def schema(which):
 @click.option("--outside", type=click.Choice(["keep", "zero"]), default="keep", show_default=True,
               help="Pixels outside the organ.")
 @click.option("--fill", type=float, metavar="VALUE", default=0.0, help="Value of cavity pixels.  [0]")
+@click.option("--nifti-frame", type=click.Choice(["auto", "sform", "qform"]),
+              help="Which frame of a NIfTI header with two is taken.  [that of the run]")
 @click.option("--side", type=click.Choice(["left", "right"]), help="The lip for points on a cut.  [both]")
 @click.option("--inverse", is_flag=True, help="Points of now back to the preoperative image.")
 @click.option("--step", metavar="NAME", help="After this step of the run.  [the last]")

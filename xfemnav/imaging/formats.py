@@ -5,7 +5,9 @@ A format is a module with
     read_header(head, name): the checked `Header`;
     read_frame(head, name): the affine (4, 4) voxel -> RAS mm and its code (0: the file states no position, for the
         reason `NO_POSITION`; else NIfTI's);
-and, where something may follow the voxels, check_tail(tail, name).
+where something may follow the voxels, check_tail(tail, name);
+and, where a header may state two frames, read_frames(head), which gives both of them or None; its read_frame takes the
+    one that is `wanted`.
 """
 
 import math
@@ -55,12 +57,16 @@ def voxels(header: Header, data) -> np.ndarray:
     return np.moveaxis(flat.reshape(lengths, order="F"), header.last_axis, -1)
 
 
-def check_affine(affine: np.ndarray, name: str) -> None:
-    """Raise E110 unless `affine` (4, 4) gives every voxel of `name` a position in mm and back."""
+def is_usable(affine: np.ndarray) -> bool:
+    """Whether `affine` (4, 4) gives every voxel a position in mm and back."""
     sizes = np.linalg.norm(affine[:3, :3], axis=0)
-    usable = (np.isfinite(affine).all() and (sizes > VOXEL_MM[0]).all() and (sizes < VOXEL_MM[1]).all()
-              and (abs(affine[:3, 3]) < ORIGIN_MM).all() and abs(np.linalg.det(affine[:3, :3] / sizes)) > 1e-6)
-    if not usable:
+    return bool(np.isfinite(affine).all() and (sizes > VOXEL_MM[0]).all() and (sizes < VOXEL_MM[1]).all()
+                and (abs(affine[:3, 3]) < ORIGIN_MM).all() and abs(np.linalg.det(affine[:3, :3] / sizes)) > 1e-6)
+
+
+def check_affine(affine: np.ndarray, name: str) -> None:
+    """Raise E110 unless the `affine` (4, 4) of `name` is usable."""
+    if not is_usable(affine):
         rows = "; ".join(" ".join(f"{x:.4g}" for x in row) for row in affine[:3])
         raise XfemnavError("E110", f"affine of {name} cannot be used: rows {rows} give voxels no size or no position "
                                    "in mm. Fix its header, or give the pixel sizes: --spacing 0.9,0.9.")

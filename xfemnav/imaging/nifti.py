@@ -9,7 +9,8 @@ import nibabel
 import numpy as np
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.formats import Header, check_affine
+from xfemnav.imaging.formats import VOXEL_MM, Header, check_affine, is_usable
+from xfemnav.imaging.frames import OTHER, Frames, chosen
 
 SCALAR_TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
 COLOUR_TYPES = {128: "RGB", 2304: "RGBA"}
@@ -52,24 +53,65 @@ def read_header(head: bytes, name: str) -> Header:
     return Header(_shape(raw, name), _dtype(raw, name), _offset(raw, name), slope, inter, int(raw["intent_code"]))
 
 
-@np.errstate(all="ignore")  # what overflows is refused by its result
-def read_frame(head: bytes, name: str) -> tuple[np.ndarray, int]:
+def read_frame(head: bytes, name: str, wanted: str = "auto") -> tuple[np.ndarray, int]:
     """Affine (4, 4) voxel -> RAS mm, and its code (0: the file states no position).
 
-    The sform wins over the qform, and that over the pixel sizes alone, as in nibabel. Raises E110 when unusable.
+    Of two frames the one that is `wanted`, "sform" or "qform", with "auto" the sform, as in nibabel; where its code is
+    0 the other one, and without both the pixel sizes alone. Raises E110 when unusable.
     """
     raw = _raw(head)
-    if raw["pixdim"][0] not in (-1, 1):
-        raw["pixdim"][0] = 1  # the standard's reading of a missing qfac
+    codes = _codes(raw)
+    which = chosen(*codes, wanted) if any(codes) else "base"
     try:
-        affine = raw.get_best_affine().astype(float)
+        affine = _affine(raw, which)
     except (ValueError, nibabel.spatialimages.HeaderDataError) as error:
         raise XfemnavError("E110", f"affine of {name} cannot be used: {error}. Fix its qform, or give the pixel "
                                    "sizes: --spacing 0.9,0.9.") from None
-    affine[:3] *= MM_PER_UNIT.get(int(raw["xyzt_units"]) & 7, 1)
     check_affine(affine, name)
-    code = int(raw["sform_code"]) or int(raw["qform_code"])
+    code = codes[which == "qform"]
     return affine, code if code in nibabel.nifti1.xform_codes.value_set() else 1  # 1: some scanner's frame
+
+
+def read_frames(head: bytes) -> Frames | None:
+    """Both frames of a header; None where their codes are 0."""
+    raw = _raw(head)
+    codes = _codes(raw)
+    if not any(codes):
+        return None
+    frames = [_usable(raw, which) if code else None for which, code in zip(OTHER, codes)]
+    sizes = abs(raw["pixdim"][1:4].astype(float)) * _unit(raw)
+    stated = (sizes > VOXEL_MM[0]) & (sizes < VOXEL_MM[1])
+    known = next((frame for frame in frames if frame is not None), np.eye(4))
+    return Frames(*frames, codes, np.where(stated, sizes, np.linalg.norm(known[:3, :3], axis=0)))
+
+
+def _codes(raw) -> tuple[int, int]:
+    return int(raw["sform_code"]), int(raw["qform_code"])
+
+
+def _unit(raw) -> float:
+    """Millimetres of the header's unit."""
+    return MM_PER_UNIT.get(int(raw["xyzt_units"]) & 7, 1)
+
+
+@np.errstate(all="ignore")  # what overflows is refused by its result
+def _affine(raw, which: str) -> np.ndarray:
+    """The frame "sform", "qform" or "base" (pixel sizes alone) of a header, (4, 4) voxel -> RAS mm, unchecked."""
+    if raw["pixdim"][0] not in (-1, 1):
+        raw["pixdim"][0] = 1  # the standard's reading of a missing qfac
+    read = {"sform": raw.get_sform, "qform": raw.get_qform, "base": raw.get_base_affine}[which]
+    affine = read().astype(float)
+    affine[:3] *= _unit(raw)
+    return affine
+
+
+def _usable(raw, which: str) -> np.ndarray | None:
+    """A frame of the header; None where it cannot be used."""
+    try:
+        affine = _affine(raw, which)
+    except (ValueError, nibabel.spatialimages.HeaderDataError):
+        return None
+    return affine if is_usable(affine) else None
 
 
 def _shape(raw, name: str) -> tuple[int, ...]:

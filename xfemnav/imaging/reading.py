@@ -22,6 +22,7 @@ import numpy as np
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging import content, dicom, formats, metaimage, mgh, nifti, nrrd, series
+from xfemnav.imaging.frames import Frames
 
 FORMATS = (nifti, nrrd, metaimage, mgh)  # what a format gives: `formats`
 LARGEST = float(np.finfo(np.float32).max)  # results are float32: what is larger would be infinite there
@@ -33,7 +34,8 @@ class Image:
     """One scalar volume: `values` (ni, nj, nk) in storage order, `affine` (4, 4) voxel -> RAS mm.
 
     `frame_code` is the header's sform or qform code (0: the file states no position), `dtype` the stored type's
-    name, `file_digest` the `content_digest` of what lies on the disk, `name` its name for messages.
+    name, `file_digest` the `content_digest` of what lies on the disk, `name` its name for messages. `frames` are both
+    frames of a NIfTI header, of which `affine` is one; None of other files, and where the header is not asked.
     """
 
     values: np.ndarray
@@ -42,6 +44,7 @@ class Image:
     frame_code: int
     file_digest: str
     name: str
+    frames: Frames | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "values", frozen_array(self.values, float, (None, None, None), "values"))
@@ -49,8 +52,9 @@ class Image:
 
     @cached_property
     def digest(self) -> str:
-        """sha256 over decoded voxels, affine and its code: one content, one digest, under any name or compression."""
-        return _values_digest((*self.values.shape, self.frame_code), self.affine, self.values)
+        """sha256 over decoded voxels, affine and its code, and the header's frames, which outputs carry on: one
+        content, one digest, under any name or compression."""
+        return _values_digest((*self.values.shape, self.frame_code), self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,7 @@ class Components:
 
     Components are as stored, in the file's own frame and order; axes after the third run together, the fourth
     fastest. `intent` is NIfTI's code of what they are (1005 symmetric matrix, 1006 displacement, 1007 vector;
-    0: not said). `dtype`, `file_digest` and `name` as of an `Image`.
+    0: not said). `dtype`, `file_digest`, `name` and `frames` as of an `Image`.
     """
 
     values: np.ndarray
@@ -68,6 +72,7 @@ class Components:
     dtype: str
     file_digest: str
     name: str
+    frames: Frames | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "values", frozen_array(self.values, float, (None, None, None, None), "values"))
@@ -75,48 +80,52 @@ class Components:
 
     @cached_property
     def digest(self) -> str:
-        """sha256 over decoded values, affine and intent: one content, one digest, under any name or compression."""
-        return _values_digest((*self.values.shape, self.intent), self.affine, self.values)
+        """sha256 over decoded values, affine and intent, and the header's frames: one content, one digest, under any
+        name or compression."""
+        return _values_digest((*self.values.shape, self.intent), self)
 
 
-def _values_digest(facts: tuple, affine: np.ndarray, values: np.ndarray) -> str:
-    digest = hashlib.sha256(repr(facts).encode())
-    digest.update(affine.astype("<f8"))
-    digest.update(values.astype("<f8", copy=False))
+def _values_digest(facts: tuple, image: Image | Components) -> str:
+    digest = hashlib.sha256(repr((*facts, image.frames and image.frames.listed)).encode())
+    digest.update(image.affine.astype("<f8"))
+    digest.update(image.values.astype("<f8", copy=False))
     return digest.hexdigest()
 
 
-def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None) -> Image:
+def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None, nifti_frame="auto") -> Image:
     """Read the image at `path`.
 
     `volume`: which one of a 4-D file. `nan`: the value to put where voxels are NaN or infinite.
     `spacing` (2 or 3 numbers, mm): use these pixel sizes instead of the header's frame, voxel 0 at the origin.
+    `nifti_frame`: which of a NIfTI header's two frames is taken, "sform" or "qform", where it states both; "auto" is
+    the sform.
     Raises E100 (cannot be opened), E101 (damaged), E102 (too large), E103 (NaN), E105 (header), E106 (no image),
     E110 (affine), E121 (4-D), E122 (colour, complex, vectors), and for a folder E123 (several series) and E124 (its
     slices make no volume); warns W104 (scaling), W107 (name), W112 (no position), W113 (files skipped in a folder).
     """
-    stored = _stored(path, int(max_memory_gb * 1e9), spacing)
+    stored = _stored(path, int(max_memory_gb * 1e9), nifti_frame, spacing)
     if stored.header.vector:
         raise XfemnavError("E122", f"{stored.name} holds {stored.header.shape[3]} components a voxel; give one scalar "
                                    "intensity a voxel.")
     values = _scaled(_one_volume(stored.voxels, volume, stored.name), stored)
     return Image(_finite(values, nan, stored.name), stored.affine, stored.header.dtype.name, stored.frame_code,
-                 stored.file_digest, stored.name)
+                 stored.file_digest, stored.name, stored.frames)
 
 
-def read_components(path, *, nan=None, max_memory_gb=4.0) -> Components:
+def read_components(path, *, nan=None, max_memory_gb=4.0, nifti_frame="auto") -> Components:
     """Read all values a voxel of the image at `path`: vectors, tensors, or the volumes of a series.
 
     `nan`: the value to put where one is NaN or infinite. Raises and warns as `read_image`, but never E121.
     """
-    stored = _stored(path, int(max_memory_gb * 1e9), all_volumes=True)
+    stored = _stored(path, int(max_memory_gb * 1e9), nifti_frame, all_volumes=True)
     values = _scaled(_volumes(stored.voxels), stored)
     return Components(_finite(values, nan, stored.name), stored.affine, stored.header.intent,
-                      stored.header.dtype.name, stored.file_digest, stored.name)
+                      stored.header.dtype.name, stored.file_digest, stored.name, stored.frames)
 
 
 class _Stored(NamedTuple):
-    """What a file holds, checked: its `header`, `voxels` (ni, nj, nk, ...) unscaled, `affine` (4, 4) and its code."""
+    """What a file holds, checked: its `header`, `voxels` (ni, nj, nk, ...) unscaled, `affine` (4, 4) and its code, and
+    both `frames` of a header that may have two."""
 
     header: formats.Header
     voxels: np.ndarray
@@ -124,6 +133,7 @@ class _Stored(NamedTuple):
     frame_code: int
     file_digest: str
     name: str
+    frames: Frames | None
 
 
 class _Source(NamedTuple):
@@ -135,21 +145,23 @@ class _Source(NamedTuple):
     voxels: Callable
     no_position: str
     file_digest: str
+    frames: Frames | None = None
 
 
-def _stored(path, limit: int, spacing=None, all_volumes=False) -> _Stored:
+def _stored(path, limit: int, nifti_frame: str, spacing=None, all_volumes=False) -> _Stored:
     """The image at `path`, decoded; all its volumes, or one of them, must fit into `limit` bytes in float64."""
     name = Path(path).name or str(path)
-    source = (_folder if os.path.isdir(path) else _file)(Path(path), limit, name)
+    source = _folder(Path(path), limit, name) if os.path.isdir(path) else _file(Path(path), limit, name, nifti_frame)
     affine, code = source.frame() if spacing is None else (_plain_affine(spacing, name), 0)
     if code == 0 and spacing is None:
         warn("W112", f"{name} states no position: {source.no_position}. Do not trust positions in mm; use "
                      "--space voxel.")
     _check_size(source.header, limit, name, all_volumes)
-    return _Stored(source.header, source.voxels(), affine, code, source.file_digest, name)
+    frames = source.frames if spacing is None else None
+    return _Stored(source.header, source.voxels(), affine, code, source.file_digest, name, frames)
 
 
-def _file(path: Path, limit: int, name: str) -> _Source:
+def _file(path: Path, limit: int, name: str, nifti_frame: str) -> _Source:
     packed = content.file_bytes(path, limit)
     zipped = packed.startswith(content.GZIP_MAGIC)
     if zipped != name.lower().endswith((".gz", ".mgz")):
@@ -169,7 +181,11 @@ def _file(path: Path, limit: int, name: str) -> _Source:
         return formats.voxels(header, data)
 
     parts = {name: packed} | ({header.data_file: beside} if header.data_file else {})
-    return _Source(header, partial(form.read_frame, head, name), voxels, form.NO_POSITION, content.parts_digest(parts))
+    digest = content.parts_digest(parts)
+    if hasattr(form, "read_frames"):
+        frame = partial(form.read_frame, head, name, nifti_frame)
+        return _Source(header, frame, voxels, form.NO_POSITION, digest, form.read_frames(head))
+    return _Source(header, partial(form.read_frame, head, name), voxels, form.NO_POSITION, digest)
 
 
 def _folder(path: Path, limit: int, name: str) -> _Source:

@@ -16,6 +16,7 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.imaging.frames import OTHER, Frames, from_voxel
 from xfemnav.imaging.reading import Image
 
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal
@@ -30,7 +31,8 @@ class Slice:
     `values` (n1, n2) along e1 and e2; the centre of pixel (i, j) is `origin` + (i, j) * `spacing`, plane mm.
     `axes` (3, 3): rows e1, e2, normal, unit vectors in world RAS (in coronal slices the normal +A is -e1 x e2).
     `offset`: p.normal of the slice, mm. Its place in the file: `array_axes` along e1, e2, normal; `flipped` where the
-    file counts e1 or e2 backwards; voxel `index` along the normal; `affine` (4, 4) voxel -> RAS mm, `frame_code`.
+    file counts e1 or e2 backwards; voxel `index` along the normal; `affine` (4, 4) voxel -> RAS mm, `frame_code`, and
+    both `frames` of its header, where it may have two.
     """
 
     values: np.ndarray
@@ -45,6 +47,7 @@ class Slice:
     index: int
     affine: np.ndarray
     frame_code: int
+    frames: Frames | None = None
 
     def __post_init__(self):
         shapes = {"values": (None, None), "origin": (2,), "spacing": (2,), "axes": (3, 3), "affine": (4, 4)}
@@ -113,7 +116,7 @@ def take_slice(image: Image, *, plane: str | None = None, index: int | None = No
     first = columns @ corner + image.affine[:3, 3]
     return Slice(np.flip(values, [k for k in (0, 1) if backwards[k]]), [e1 @ first, e2 @ first], sizes[[a1, a2]],
                  [e1, e2, normal], float(normal @ first), abs(float(step)), plane, (a1, a2, a3), tuple(backwards),
-                 index, image.affine, image.frame_code)
+                 index, image.affine, image.frame_code, image.frames)
 
 
 def _plane(image: Image, nearest, plane: str | None) -> str:
@@ -177,17 +180,29 @@ def plane_points(slice: Slice, points, space: str = "ras") -> np.ndarray:
 
 
 def to_nifti(slice: Slice, values, dtype=np.float32) -> nibabel.Nifti1Image:
-    """`values` (n1, n2) as a 3-D image with one slice, on the input's grid and in its storage order."""
-    affine = slice.affine.copy()
-    affine[:3, 3] += slice.index * affine[:3, slice.array_axes[2]]
-    image = nibabel.Nifti1Image(slice.to_storage(np.asarray(values)).astype(dtype), affine)
+    """`values` (n1, n2) as a 3-D image with one slice, on the input's grid and in its storage order.
+
+    It has both frames of the input's header, so that it lies on the input whichever of them a program takes.
+    """
+    data = slice.to_storage(np.asarray(values)).astype(dtype)
+    header = _header(slice)
+    header.set_data_dtype(dtype)
+    header.set_xyzt_units("mm")
+    return nibabel.Nifti1Image(data, header.get_best_affine(), header)
+
+
+def _header(slice: Slice) -> nibabel.Nifti1Header:
+    """A header with the frames of the input, or twice the one that it has, of the one slice."""
+    if slice.frames is not None:
+        return slice.frames.header(slice.array_axes[2], slice.index)
+    affine = from_voxel(slice.affine, slice.array_axes[2], slice.index)
+    header = nibabel.Nifti1Header()
     code = slice.frame_code or 1  # a position that was not stated is now, or readers would centre the one slice anew
-    image.set_sform(affine, code)
-    image.set_qform(affine, code)
-    if not np.allclose(image.get_qform(), affine, atol=1e-3):
-        image.set_qform(affine, 0)  # tilted slices: a quaternion cannot hold the shear between them
-    image.header.set_xyzt_units("mm")
-    return image
+    header.set_qform(affine, code)
+    header.set_sform(affine, code)
+    if not np.allclose(header.get_qform(), affine, atol=1e-3):
+        header.set_qform(affine, 0)  # tilted slices: a quaternion cannot hold the shear between them
+    return header
 
 
 def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.ndarray:
@@ -203,7 +218,7 @@ def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.n
         raise XfemnavError("E204", f"grids differ: {image.name} has {_by(image.values.shape)} voxels of {_by(size)} mm,"
                                    f" the first at ({_at(first)}); the slice has {_by(like.values.shape)} pixels of "
                                    f"{_by(like.spacing)} mm, the first at ({_at(like.to_world(like.origin))}). "
-                                   "Resample it, or give --resample-mask.")
+                                   f"{_by_other_frames(image, like)}Resample it, or give --resample-mask.")
     if resample is None:
         return image.values[tuple(np.moveaxis(nearest, -1, 0))]
     from scipy.ndimage import map_coordinates
@@ -212,6 +227,19 @@ def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.n
     values = map_coordinates(image.values, np.moveaxis(voxels if resample == "linear" else nearest, -1, 0),
                              order=1 if resample == "linear" else 0, mode="nearest")
     return np.where(inside, values, 0.0)
+
+
+def _by_other_frames(image: Image, like: Slice) -> str:
+    """A hint where the grids are one when a frame of the headers is taken that was not: "" for none."""
+    places = like.to_world(like.pixel_centres())
+    for wanted in OTHER:
+        affine, own = (item.affine if item.frames is None else item.frames.affine(wanted) for item in (image, like))
+        if affine is not None and own is not None:
+            matrix = np.linalg.inv(affine) @ own @ np.linalg.inv(like.affine)
+            voxels = places @ matrix[:3, :3].T + matrix[:3, 3]
+            if _same_grid(voxels, np.rint(voxels).astype(int), image):
+                return f"By the {wanted} of their headers they are one grid: --nifti-frame {wanted}. "
+    return ""
 
 
 def _by(numbers) -> str:

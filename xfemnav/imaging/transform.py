@@ -34,7 +34,7 @@ def roomy(slice: Slice, points) -> Slice:
     for k in (0, 1):
         affine[:3, 3] -= (after if slice.flipped[k] else before)[k] * affine[:3, slice.array_axes[k]]
     return replace(slice, values=np.pad(slice.values, np.column_stack([before, after])),
-                   origin=slice.origin - before * slice.spacing, affine=affine)
+                   origin=slice.origin - before * slice.spacing, affine=affine, frames=None)
 
 
 def backward(slice: Slice, organ, rest, moved, gaps: str = "bridged", motion: PullBack | None = None) -> np.ndarray:

@@ -19,7 +19,7 @@ POINTS, TRACTS = (".json", ".fcsv", ".csv", ".tag"), (".trk", ".tck")
 @dataclass(frozen=True)
 class Choices:
     """How files are carried: `kind`, `interp`, `axes`, `outside`, `fill` of images as in `Result.warp`; of points the
-    `side` of a cut, and `inverse`, from now to the preoperative image."""
+    `side` of a cut, and `inverse`, from now to the preoperative image. `nifti_frame` of images: None for the run's."""
 
     kind: str | None = None
     interp: str = "linear"
@@ -28,6 +28,7 @@ class Choices:
     fill: float = 0.0
     side: str | None = None
     inverse: bool = False
+    nifti_frame: str | None = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def _image(result: Result, path: Path, target: Path, choices: Choices) -> str:
     from xfemnav.pipeline.files import write_nifti
 
     image = result.warp(path, kind=choices.kind, interp=choices.interp, outside=choices.outside, fill=choices.fill,
-                        axes=choices.axes)
+                        axes=choices.axes, nifti_frame=choices.nifti_frame)
     write_nifti(target, image)
     about = DESCRIBED["companion"] | {"Sources": [path.name, result.record["outputs"]["solution"]],
                                       "GeneratedBy": [{"Name": "xfemnav", "Version": __version__}]}

@@ -6,13 +6,14 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.pipeline.cache import Cache, Entry
 from xfemnav.pipeline.config import STAGES as ORDER
 from xfemnav.pipeline.config import Config
+from xfemnav.pipeline.frame_check import frame_doubts
 from xfemnav.pipeline.keys import canonical, digest, file_digest, stage_key
 from xfemnav.pipeline.parameters import ReadParams
 from xfemnav.pipeline.stage import Stage
@@ -101,9 +102,10 @@ class Inputs:
 
     def reading(self, role: str) -> ReadParams:
         """How a file is read: pixel sizes given by hand are those of the mask too, and NaN in a mask is background."""
-        own, background = self.config.read, ReadParams(nan=0.0)
-        return {"image": own, "mask": ReadParams(nan=0.0, spacing=own.spacing), "template_mask": background,
-                "labels": background, "resection": background, "companion": background}.get(kind(role), ReadParams())
+        own = self.config.read
+        background = ReadParams(nan=0.0, nifti_frame=own.nifti_frame)
+        return {"image": own, "mask": replace(background, spacing=own.spacing),
+                "template": replace(background, nan=None)}.get(kind(role), background)
 
     def decoded(self, role: str):
         """Read and decode an input file; vectors and tensors with all their components."""
@@ -112,8 +114,9 @@ class Inputs:
         read, path, limit = self.reading(role), self.files[role], self.config.max_memory_gb
         try:
             if any(item.role == role and item.kind in ("vector", "tensor") for item in self.config.carry.companions):
-                return read_components(path, nan=read.nan, max_memory_gb=limit)
-            return read_image(path, volume=read.volume, nan=read.nan, spacing=read.spacing, max_memory_gb=limit)
+                return read_components(path, nan=read.nan, max_memory_gb=limit, nifti_frame=read.nifti_frame)
+            return read_image(path, volume=read.volume, nan=read.nan, spacing=read.spacing, max_memory_gb=limit,
+                              nifti_frame=read.nifti_frame)
         except XfemnavError as error:
             if role == "image" or error.code not in REMEDIES:
                 raise
@@ -155,8 +158,9 @@ class Chain:
         for name, step in self._order(until):
             self.inputs.step = step
             self.started(name)
-            done = self._stage(STAGES[name], self._params(name, step), self._forced(name))
-            self._finish(done)
+            self._finish(self._stage(STAGES[name], self._params(name, step), self._forced(name)))
+            if name == "segment":  # where the organ is, is known
+                self.warned += [Warned("W114", text) for text in frame_doubts(self.inputs, self.input_facts)]
         if until == ORDER[-1] and self.config.carry.companions:
             self.started(CARRY.name)
             self._finish(self._stage(CARRY, self.config.carry, self.force_from is not None))
@@ -274,12 +278,15 @@ class Chain:
     def _image_facts(self, role: str, path: Path) -> tuple[dict, tuple[Warned, ...]]:
         """Digest of the decoded voxels and affine, remembered by the file's name and the digest of its bytes."""
         def build(folder: Path) -> None:
+            from xfemnav.imaging import frames
+
             with recorded() as caught:
                 image = self.inputs.images[role] = self.inputs.decoded(role)
             if image.file_digest != raw:
                 raise _changed(path)
-            write_facts(folder, {"digest": image.digest, "shape": list(image.values.shape), "dtype": image.dtype,
-                                 "affine": image.affine.tolist()}, caught)
+            shape = list(image.values.shape)
+            found = {"digest": image.digest, "shape": shape, "dtype": image.dtype, "affine": image.affine.tolist()}
+            write_facts(folder, found | frames.facts(image.frames, shape[:3]), caught)
 
         limit = self.config.max_memory_gb
         if not os.path.isdir(path) and (not os.path.isfile(path) or path.stat().st_size > limit * 1e9):

@@ -131,7 +131,7 @@ def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]
     return Config(
         parameters=s.model_dump(mode="json", exclude={"xfemnav"}), files=roles, also_read=(*also_read, *held),
         max_memory_gb=s.max_memory_gb, strict=s.strict,
-        read=ReadParams(s.volume, s.nan, s.spacing),
+        read=ReadParams(s.volume, s.nan, s.spacing, s.nifti_frame),
         segment=SegmentParams(s.slice.plane, s.slice.index, s.slice.position_mm, s.segment.method, s.segment.skull,
                               s.resample_mask),
         mesh=_mesh_params(s, drawn), steps=_steps(s, drawn, files.get("boundary.displacement")), solve=SolveParams(),

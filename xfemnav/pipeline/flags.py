@@ -15,6 +15,7 @@ FLAGS: dict[str, str] = {
     "volume": "volume",
     "nan": "nan",
     "spacing": "spacing",
+    "nifti_frame": "nifti_frame",
     "resample_mask": "resample_mask",
     "max_memory": "max_memory_gb",
     "strict": "strict",

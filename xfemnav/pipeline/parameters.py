@@ -16,6 +16,7 @@ class ReadParams:
     volume: int | None = None
     nan: float | None = None
     spacing: tuple[float, ...] | None = None
+    nifti_frame: str = "auto"
 
 
 @dataclass(frozen=True)

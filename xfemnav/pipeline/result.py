@@ -87,13 +87,19 @@ class Result:
         """False when the retraction folds tissue (E401)."""
         return self.record["status"] == "complete"
 
+    @property
+    def nifti_frame(self) -> str:
+        """Which frame of NIfTI headers with two was taken: auto, sform or qform."""
+        return self.record["parameters"].get("nifti_frame", "auto")
+
     @cached_property
     def frame(self):
         """The plane of the slice: an imaging Slice whose values are the organ's mask."""
         from xfemnav.imaging.reading import read_image
         from xfemnav.imaging.slices import take_slice
 
-        return take_slice(read_image(self._path("mask")), plane=self.record["slice"]["plane"])
+        mask = read_image(self._path("mask"), nifti_frame=self.nifti_frame)
+        return take_slice(mask, plane=self.record["slice"]["plane"])
 
     @cached_property
     def organ(self):
@@ -157,20 +163,35 @@ class Result:
         return move_streamlines(read_streamlines(path), self.frame, self.motion, self.organ.corners)
 
     def warp(self, image, *, kind: str | None = None, interp: str = "linear", outside: str = "keep",
-             fill: float = 0.0, axes: str = "world"):
+             fill: float = 0.0, axes: str = "world", nifti_frame: str | None = None):
         """Another image of the patient after the motion.
 
         The path of an image on any grid in the preoperative image's world gives a nibabel image on the grid of the
         run's slice. `kind` is continuous (the default for one value a voxel), label, vector or tensor, whose `axes` are
         "world" or "image"; pixels outside of the organ are kept, or 0 with `outside="zero"`, and those that tissue has
-        left get `fill`. An array (n1, n2) along e1 and e2 of the run's slice gives an array.
+        left get `fill`. `nifti_frame` says which frame of a header with two is taken; left out, it is the run's choice.
+        An array (n1, n2) along e1 and e2 of the run's slice gives an array.
         """
         from xfemnav.imaging.companions import carry
 
         if not isinstance(image, str | Path):
             return self._updated(image, interp, outside, fill).updated
-        return carry(_read(Path(image), kind), self.frame, self.update, kind=kind or "continuous", interp=interp,
-                     outside=outside, fill=fill, axes=axes)
+        wanted = nifti_frame or self.nifti_frame
+        companion = _read(Path(image), kind, wanted)
+        self._warn_of_frames(companion, wanted)
+        return carry(companion, self.frame, self.update, kind=kind or "continuous", interp=interp, outside=outside,
+                     fill=fill, axes=axes)
+
+    def _warn_of_frames(self, companion, wanted: str) -> None:
+        """W114 of a file that comes later."""
+        from xfemnav.imaging.frames import doubts, facts
+
+        frame = self.frame
+        organ = frame.to_world(frame.pixel_centres()[frame.values != 0])
+        own = facts(frame.frames, frame.to_storage(frame.values).shape)
+        for text in doubts(companion.name, facts(companion.frames, companion.values.shape[:3]), wanted, organ,
+                           "the run's image", own):
+            warn("W114", text)
 
     def write_transform(self, path, *, gaps: str = "bridged", direction: str = "backward") -> None:
         """Write the motion as a file for other programs: .h5 (an ITK transform), .nrrd or .nii.gz (fields).
@@ -240,7 +261,7 @@ def _step_of(record: dict, step: str | None) -> tuple[str, list]:
     return "solution" if last else f"solution:{step}", record["steps"][names.index(step)]["cuts"]
 
 
-def _read(path: Path, kind: str | None):
+def _read(path: Path, kind: str | None, nifti_frame: str):
     """The image at `path`, with all its values a voxel where its kind has several; NaN is background.
 
     Raises E131 for several values of no stated kind.
@@ -248,16 +269,16 @@ def _read(path: Path, kind: str | None):
     from xfemnav.imaging.reading import read_components, read_image
 
     if kind in ("vector", "tensor"):
-        return read_components(path, nan=0.0)
+        return read_components(path, nan=0.0, nifti_frame=nifti_frame)
     try:
-        return read_image(path, nan=0.0)
+        return read_image(path, nan=0.0, nifti_frame=nifti_frame)
     except XfemnavError as error:
         if error.code not in ("E121", "E122"):
             raise
         if kind is None:
             raise XfemnavError("E131", f"{path.name} holds several values a voxel. Say what they are: continuous, "
                                        "vector or tensor.") from None
-        return read_components(path, nan=0.0)
+        return read_components(path, nan=0.0, nifti_frame=nifti_frame)
 
 
 def _write_h5(path, frame, field, meaning) -> None:

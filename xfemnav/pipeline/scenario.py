@@ -289,6 +289,8 @@ class Scenario(Section):
     nan: float | None = Field(None, description="value for NaN and infinite voxels of the image; in masks they are 0")
     spacing: Annotated[tuple[Positive, ...], Strict(False), Field(min_length=2, max_length=3)] | None = Field(
         None, description="pixel sizes, mm, in place of the header's frame")
+    nifti_frame: Literal["auto", "sform", "qform"] = Field(
+        "auto", description="which frame of NIfTI headers with two is taken, in every file of the run; auto: the sform")
     resample_mask: bool = Field(False, description="accept a mask on another grid")
     max_memory_gb: Positive = Field(4.0, description="largest image to read, GB")
     strict: bool = Field(False, description="warnings are errors")

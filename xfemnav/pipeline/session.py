@@ -306,9 +306,14 @@ def _prepared(config, organ):
     drawn, slice = params.cuts[0], None
     plan = np.array(drawn.points)
     if organ is None:
+        from xfemnav.imaging.frames import facts
         from xfemnav.imaging.slices import plane_points
+        from xfemnav.pipeline.frame_check import frame_doubts
 
         inputs.values["segment"] = slice, _ = stage_segment.compute(config.segment, inputs)
+        found = {role: facts(image.frames, image.values.shape) for role, image in inputs.images.items()}
+        for text in frame_doubts(inputs, found):
+            warn("W114", text)
         inputs.values["mesh"] = organ = stage_mesh.compute(config.mesh, inputs)
         plan = plane_points(slice, plan, drawn.space)
     return slice, organ, stage_constrain.tissue(params, organ, inputs), plan
