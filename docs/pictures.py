@@ -5,6 +5,7 @@ Called by `make docs` when out/demo and out/worked-case are there; `python docs/
 
 import re
 import sys
+import warnings
 from pathlib import Path
 
 import matplotlib
@@ -32,7 +33,7 @@ from panels import (
 from PIL import Image
 
 import xfemnav
-from data_synthetic import surgery
+from data_synthetic import surgery, tumours
 
 DOCS = Path(__file__).parent
 OUT = DOCS.parent / "out"
@@ -109,6 +110,32 @@ def resections() -> None:
     for panel, title in ((a, "as drawn"), (b, "taken out"), (c, "with gravity; blue: the cavity without")):
         finished(panel, title)
     saved(figure, "resections")
+
+
+def tumour_core() -> None:
+    """A tumour in three labels with specks, a shell beside it: as labelled, outlined, and taken out."""
+    image = nib.load(OUT / "surgery" / "sub-mni_T1w.nii.gz")
+    grid = preoperative()
+    place = np.linalg.inv(image.affine)[:2] @ [-40.0, 26.0, 18.0, 1.0]
+    labels = tumours.tumour(np.random.default_rng(16), grid.shape, (1, 1), place, 13.0) * (grid > 0)
+    path = OUT / "pictures" / "seg.nii.gz"
+    path.parent.mkdir(exist_ok=True)
+    nib.save(nib.Nifti1Image(np.repeat(labels[:, :, None], image.shape[2], 2), image.affine), path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = xfemnav.run(image.get_filename(), slice_mm=18, labels=path, resect="label=1,3,4", skull="contact",
+                             gravity="0.003,-0.004", output=OUT / "pictures" / "tumour-core", report=False)
+    figure, (a, b, c) = panels(1, 3, FRONT)
+    for panel in (a, b):
+        grey(panel, grid)
+    for label, colour in ((tumours.OEDEMA, GREEN), (tumours.ENHANCING, ORANGE), (tumours.NECROSIS, RED)):
+        edge(a, labels == label, colour, lw=1)
+    edge(b, np.isin(labels, tumours.CORE), RED, lw=1)
+    edge(b, updated(result, "cavity"), CYAN, lw=1.4)
+    grey(c, updated(result))
+    for panel, title in ((a, "oedema, rim, necrosis"), (b, "the core, and what is taken out"), (c, "updated")):
+        finished(panel, title)
+    saved(figure, "tumour-core")
 
 
 def contact() -> None:
@@ -226,8 +253,8 @@ def finite_strain() -> None:
 
 
 PICTURES = {"demo": lambda: shrunk("demo"), "worked-case": lambda: shrunk("worked-case"), "cuts": cuts,
-            "resections": resections, "contact": contact, "tissues-and-loads": tissues, "steps": steps,
-            "companions": companions, "finite-strain-model": finite_strain}
+            "resections": resections, "tumour-core": tumour_core, "contact": contact, "tissues-and-loads": tissues,
+            "steps": steps, "companions": companions, "finite-strain-model": finite_strain}
 
 
 if __name__ == "__main__":

@@ -18,3 +18,5 @@ INVERTED = Limit(1.0, "mm²", "tissue turned inside out; more is not trusted (E4
 # Linear strains grow as r^-1/2 at a tip, so a speck of tissue there is inverted at any opening: this much is no news.
 FOLDED_NOTICE = Limit(0.01, "mm²", "tissue turned inside out (W402)")
 APART = Limit(0.1, "mm", "distance in the organ between the two frames of a header (W114)")
+# A mesh coarser than this tells nothing of what is thin: wider strips of tissue are real.
+SHRED_WIDTH = Limit(4.0, "mm", "the element's width under which tissue beside a resection goes with it (W210)")

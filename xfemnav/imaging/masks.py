@@ -1,10 +1,42 @@
-"""What every mask becomes before it is used: one component without holes."""
+"""What every mask becomes before it is used: true or false in each pixel; the organ's: one component without holes."""
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from xfemnav.errors import XfemnavError, warn
+
+BRIGHTEST = 99.9  # percentile of what is not 0 that ends the range of a soft mask: single voxels may overshoot
+ROUNDING = 1e-6  # of a whole number that a header's slope has scaled
+
+
+def mask_of(image, values: np.ndarray) -> np.ndarray:
+    """The mask (n1, n2) bool in `values` of an image, those on a slice: where they are not 0.
+
+    In a soft mask, an image with fractions, from half of its range on, which is that of the whole image. Two values are
+    a mask whatever they are; warns W209 of any other, with what was taken.
+    """
+    soft = not is_whole(image.values)
+    if soft:
+        marked = image.values[image.values != 0]
+        if marked.min() == marked.max():
+            return values != 0
+        low, high = float(image.values.min()), float(np.percentile(marked, BRIGHTEST, method="lower"))
+        half = (low + high) / 2
+        mask = values >= half
+        warn("W209", f"{image.name} holds fractions, as a soft mask does: what is {half:.3g} or more is taken, half of "
+                     f"its range from {low:.3g} to {high:.3g}; {mask.sum()} pixels.")
+        return mask
+    mask = values != 0
+    if (found := np.unique(values[mask])).size > 1:
+        warn("W209", f"{image.name} is no mask of two values, but holds {found.size} beside 0: all that is not 0 is "
+                     f"taken, {mask.sum()} pixels.")
+    return mask
+
+
+def is_whole(values: np.ndarray) -> bool:
+    """Whether all values are whole numbers, but for the rounding of single precision."""
+    return bool((abs(values - np.rint(values)) <= ROUNDING * np.maximum(abs(values), 1)).all())
 
 
 def components(mask: np.ndarray) -> np.ndarray:

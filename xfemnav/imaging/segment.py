@@ -12,7 +12,7 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.masks import clean, dice, one_piece
+from xfemnav.imaging.masks import clean, dice, mask_of, one_piece
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import Slice, values_on
 
@@ -47,7 +47,7 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
 
     `mask` (n1, n2): wins, except with method svc, whose prior it is. `skull`: "on" and "stripped" overrule the test.
     `template` and `template_mask`: images on one grid in the slice's world frame, for svc without `mask`.
-    Raises E201 (nothing found), E202 (constant slice), E203 (no background), E206 (template); warns W205, W206.
+    Raises E201 (nothing found), E202 (constant slice), E203 (no background), E206 (template); warns W205, W206, W209.
     """
     if method not in METHODS:
         raise XfemnavError("E780", f"no segmentation method {method!r}; choose one of {', '.join(METHODS)}.")
@@ -92,7 +92,7 @@ def _prior(slice: Slice, work: "Working", mask, template: Image | None, template
 
     values = values_on(template, slice, resample="linear")
     low, high = robust_range(values) if values.max() > values.min() else (0.0, 1.0)
-    organ = (values_on(template_mask, slice, resample="nearest") != 0).astype(float)
+    organ = mask_of(template_mask, values_on(template_mask, slice, resample="nearest")).astype(float)
     return register(work.values, work.forth((values - low) / (high - low)), work.forth(organ), work.pixel)
 
 

@@ -270,9 +270,9 @@ def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None) -> Con
         retractions=tuple(
             RetractParams(names.index(r.cut), 1 if r.side == "left" else -1, r.displacement_mm,
                           r.normal_mm, r.force_mN_per_mm, r.blade) for r in s.retract),
-        resections=tuple(ResectParams(r.name, points, space, r.label, i if r.mask is not None else None, None)
+        resections=tuple(ResectParams(r.name, points, space, r.labels, i if r.mask is not None else None, None)
                          for i, (r, (points, space)) in enumerate(zip(s.resect, drawn.resections))),
-        space=s.space, young_kpa=tissue.young_kpa, poisson=tissue.poisson,
+        min_resection_mm=s.min_resection_mm, space=s.space, young_kpa=tissue.young_kpa, poisson=tissue.poisson,
         labels=tuple(_label(int(label), item, tissue) for label, item in sorted(tissue.by_label.items())),
         stress_state=s.solve.stress_state, skull=boundary.skull, skull_gap_mm=boundary.skull_gap_mm,
         arcs=tuple(ArcParams(a.start, a.end, a.skull, a.skull_gap_mm) for a in boundary.arc),

@@ -17,6 +17,7 @@ FLAGS: dict[str, str] = {
     "spacing": "spacing",
     "nifti_frame": "nifti_frame",
     "resample_mask": "resample_mask",
+    "min_resection_mm": "min_resection_mm",
     "max_memory": "max_memory_gb",
     "strict": "strict",
     "slice": "slice.index",
@@ -139,20 +140,24 @@ def _add_cuts(raw: dict, given: dict, found: list[str], files: dict[str, Path]) 
 
 
 def _add_resections(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
-    """--resect, repeated, takes the place of the scenario's resections: points, a point file, a mask, or label=N."""
+    """--resect, repeated, takes the place of the scenario's resections: points, a point file, a mask, or label=N,N."""
     resections = _repeated(given.get("resect", ()))
     if len(resections):
         raw["resect"] = []
     for i, value in enumerate(resections):
         item = {"name": "resection" if len(resections) == 1 else f"resection {i + 1}"}
-        for key, endings in (("markups", MARKUPS), ("mask", MASKS)):
-            if _names_a_file(value, endings):
+        is_mask = str(value).lower().endswith(MASKS) and isinstance(value, str | Path)
+        for key, named in (("mask", is_mask), ("markups", _names_a_file(value, MARKUPS))):
+            if named:
                 item[key], files[f"resect.{i}.{key}"] = printed(value), Path(value)
                 break
         else:
-            label = str(value).removeprefix("label=")
-            if isinstance(value, str) and value.startswith("label=") and label.isdecimal():
-                item["label"] = int(label)
+            labels = str(value).removeprefix("label=").replace(" ", "").split(",")
+            if isinstance(value, str) and value.startswith("label=") and all(map(str.isdecimal, labels)):
+                item["label"] = int(labels[0]) if len(labels) == 1 else list(map(int, labels))
+            elif isinstance(value, str) and value.startswith("label="):
+                found.append(f"--resect: wants whole numbers label=N or label=N,N,N, got {value[:60]!r}")
+                item["label"] = 1  # stands in
             else:
                 item["outline"] = _points(value, "--resect", found)
         raw["resect"].append(item)

@@ -45,7 +45,8 @@ def methods_paragraph(run: dict) -> str:
     """Plain text. `run` is the content of run.json for a run that has outputs; numbers in brackets are `CITATIONS`."""
     asked = run["parameters"]
     sentences = [
-        _software(run), _mesh(run), *map(_cut, run["cuts"]), *map(_resection, run["resections"]), _enrichment(run),
+        _software(run), _mesh(run), *map(_cut, run["cuts"]), *(_resection(each, asked) for each in run["resections"]),
+        _enrichment(run),
         _tissue(asked), *_labels(asked), _outline(asked), *_loads(asked),
         *(_retraction(each, asked) for each in asked["retract"]), _lips(asked), _model(run), _steps(run), _outcome(run),
         _image(asked), _carried(asked),
@@ -83,8 +84,16 @@ def _cut(cut):
     return f"The cut '{cut['name']}' was {cut['length_mm']:.1f} mm long, in plane coordinates from {points} mm."
 
 
-def _resection(resection):
-    return f"The resection '{resection['name']}' took out {resection['area_mm2']:.0f} mm² of tissue."
+def _resection(resection, asked):
+    drawn = next(item for item in asked["resect"] if item["name"] == resection["name"])
+    source = f"the mask {PurePath(drawn['mask'] or '').name}"
+    if drawn["label"] is not None:
+        labels = drawn["label"] if isinstance(drawn["label"], list) else [drawn["label"]]
+        source = (f"label{'s' * (len(labels) > 1)} {', '.join(map(str, labels))} of "
+                  f"{PurePath(asked['tissue']['labels']).name}")
+    rule = f"bits under a disc of {asked['min_resection_mm']:g} mm were left, and holes under it filled"
+    told = f" ({source}; {rule})" if drawn["label"] is not None or drawn["mask"] is not None else ""
+    return f"The resection '{resection['name']}'{told} took out {resection['area_mm2']:.0f} mm² of tissue."
 
 
 def _enrichment(run):

@@ -45,12 +45,12 @@ class CutParams:
 
 @dataclass(frozen=True)
 class ResectParams:
-    """One resection: a drawn outline in `space`, a label of the label map, or the mask file number `mask`."""
+    """One resection: a drawn outline in `space`, labels of the label map, or the mask file number `mask`."""
 
     name: str
     outline: tuple[tuple[float, ...], ...] | None
     space: str
-    label: int | None
+    label: tuple[int, ...] | None
     mask: int | None
     drawn_after: int | None
 
@@ -139,6 +139,7 @@ class ConstrainParams:
     later_cuts: tuple[CutParams, ...]
     retractions: tuple[RetractParams, ...]
     resections: tuple[ResectParams, ...]
+    min_resection_mm: float
     space: str
     young_kpa: float
     poisson: float

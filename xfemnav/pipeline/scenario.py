@@ -12,7 +12,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator, model_validator
 
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.crosscheck import cross_problems
@@ -38,6 +38,19 @@ MANY = Field(max_length=200)  # cuts, steps, companions: more is a mistake, and 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Name = Annotated[str, Field(pattern=r"^[\w .+-]{1,64}$")]
+
+
+def _in_one_line(value, check):
+    """A label or labels; what is wrong with them is told once, not for each of the two."""
+    try:
+        return check(value)
+    except ValidationError:
+        raise ValueError("give a whole number from 1 on, or a list of such: [1, 3, 4]") from None
+
+
+Label = Annotated[int, Field(ge=1)]
+Labels = Annotated[Label | Annotated[tuple[Label, ...], Strict(False), Field(min_length=1, max_length=200)],
+                   WrapValidator(_in_one_line)]
 
 
 class Section(BaseModel):
@@ -120,8 +133,9 @@ class ResectSection(Section):
     outline: Points | None = Field(None, description="closed outline, 2 or 3 numbers a point")
     markups: Path_ | None = Field(None, description="point file with the outline, such as a closed curve of Slicer")
     markup: str | None = Field(None, description="which markup of a file with several")
-    label: int | None = Field(None, ge=1, description="a label of [tissue] labels")
-    mask: Path_ | None = Field(None, description="image of the resected tissue, not 0 there, on any grid")
+    label: Labels | None = Field(
+        None, description="a label of [tissue] labels, or a list of labels that are taken out as one")
+    mask: Path_ | None = Field(None, description="image of the resected tissue, a mask on any grid")
 
     @model_validator(mode="after")
     def _one_form(self):
@@ -131,6 +145,12 @@ class ResectSection(Section):
         if self.outline is not None and len(set(self.outline)) < 3:
             raise ValueError("outline must have at least three different points")
         return self
+
+    @property
+    def labels(self) -> tuple[int, ...] | None:
+        """The labels, each once, None where none is given."""
+        given = (self.label,) if isinstance(self.label, int) else self.label
+        return given and tuple(sorted(set(given)))
 
 
 class CompanionSection(Section):
@@ -292,6 +312,8 @@ class Scenario(Section):
     nifti_frame: Literal["auto", "sform", "qform"] = Field(
         "auto", description="which frame of NIfTI headers with two is taken, in every file of the run; auto: the sform")
     resample_mask: bool = Field(False, description="accept a mask on another grid")
+    min_resection_mm: NotNegative = Field(
+        4.0, description="of labels and masks that are taken out: bits smaller than a disc this wide stay, holes go")
     max_memory_gb: Positive = Field(4.0, description="largest image to read, GB")
     strict: bool = Field(False, description="warnings are errors")
     points: Paths_ = Field((), description="files of landmarks to move: .mrk.json, .fcsv, .csv, .tag")

@@ -68,8 +68,9 @@ def table(section: str, keys: dict, required) -> str:
 
 def values(item: dict) -> str:
     """The values that a key takes, in words."""
-    kinds = [kind for kind in item.get("anyOf", [item]) if kind.get("type") != "null"]
-    (kind,) = kinds
+    kind, *more = (kind for kind in item.get("anyOf", [item]) if kind.get("type") != "null")
+    if more:
+        return " or ".join(map(values, (kind, *more)))
     if "enum" in kind:
         return ", ".join(f"`{value}`" for value in kind["enum"])
     if "const" in kind:

@@ -1,5 +1,7 @@
 """The stage constrain: mesh, cuts, blades, resections, tissues and loads become a boundary value problem."""
 
+import math
+
 
 def _placed(cuts, paths, outline, others=()):
     """Drawn cuts, paths (k, 2) plane mm, as they run inside an outline; `others` may bear branches too."""
@@ -24,16 +26,18 @@ def compute(params, inputs):
                               force_mN_per_mm=r.force_mN_per_mm, blade=r.blade) for r in params.retractions)
     arcs = tuple(Arc(*_plane(slice, (arc.start, arc.end), params.space), arc.skull, arc.skull_gap_mm)
                  for arc in params.arcs)
+    taken = _taken_out(params, mesh, cuts, inputs)
+    number = {k: i for i, k in enumerate(taken)} | {None: None}
     return pose(
         mesh, cuts, tissue(params, mesh, inputs),
         Skull(params.skull, params.craniotomy_mm, params.skull_ramp_mm, params.skull_gap_mm, arcs), blades,
-        resections=tuple(_resection(item, outline, inputs) for item in params.resections),
+        resections=tuple(taken.values()),
         loose=params.loose_pieces, lips=params.lips, boundary_displacement=_measured(slice, params),
         boundary_weight=params.displacement_weight, tip_enrichment=params.tip_enrichment,
         lip_constraint=params.lip_constraint, hold_tip=params.hold_tip, model=params.model,
         gravity=params.gravity and Gravity(params.gravity.direction, params.gravity.density_kg_m3,
                                            params.gravity.fluid_density_kg_m3, params.gravity.fluid_level_mm),
-        pressures=tuple(Pressure(load.kpa, load.resection) for load in params.pressures),
+        pressures=tuple(Pressure(load.kpa, number[load.resection]) for load in params.pressures),
         craniotomies=_later_mouths(params, slice, outline),
     )
 
@@ -84,21 +88,84 @@ def _later_mouths(params, slice, outline):
     return tuple(found)
 
 
-def _resection(item, outline, inputs):
-    """The tissue that a resection takes out: drawn, a label, or a mask."""
-    from xfemnav.geometry.redrawn import ring_at_rest
-    from xfemnav.geometry.resection import place_resection
-    from xfemnav.imaging.labels import region_rings
+def _taken_out(params, mesh, cuts, inputs):
+    """What each resection takes out, by its number; not those of which nothing is taken.
 
-    slice, _ = inputs.value("segment")
-    if item.outline is not None:
-        rings = (_plane(slice, item.outline, item.space),)
-    else:
-        role = "labels" if item.label is not None else f"resection:{item.mask}"
-        rings = region_rings(inputs.image(role), slice, item.label)
-    if item.drawn_after is not None and item.label is None:
-        rings = tuple(ring_at_rest(ring, _motion(item, inputs), item.name) for ring in rings)
-    return place_resection(rings, outline, item.name)
+    What images mark is united before it is outlined, so that nothing is left between the labels of one tumour; with it
+    goes what could not stay beside it.
+    """
+    import shapely
+    from shapely.ops import substring
+
+    from xfemnav.geometry.resection import refuse_all
+    from xfemnav.geometry.shreds import Elements, without_shreds
+    from xfemnav.imaging.regions import warn_of_left
+
+    if not params.resections:
+        return {}
+    (slice, _), outline, least = inputs.value("segment"), mesh.points[mesh.boundary_loops[0]], _least_mm2(params)
+    found = {k: _marked(item, slice, inputs) for k, item in enumerate(params.resections) if item.outline is None}
+    placed = _placed_regions(params, found, outline, inputs)
+    held = [substring(shapely.LineString(cuts[r.cut].path), *(r.blade or (0.0, 1.0)), normalized=True)
+            for r in params.retractions]
+    placed = dict(zip(placed, without_shreds(tuple(placed.values()), outline, Elements.of(mesh), least_mm2=least,
+                                             hold=params.loose_pieces == "hold", held=held)))
+    region, organ = shapely.union_all([item.region for item in placed.values()]), shapely.Polygon(outline)
+    refuse_all(region, organ, " and ".join(f"resection '{item.name}'" for item in placed.values()))
+    for k in found:
+        if not _is_redrawn(params.resections[k]):
+            warn_of_left(found[k], slice, region, organ, least)
+    return placed
+
+
+def _placed_regions(params, found, outline, inputs):
+    """The resections inside an outline, by number, before anything else goes with them: those drawn, and those `found`
+    in images. Raises E311 when nothing of these is as large as a resection."""
+    from xfemnav.errors import XfemnavError
+    from xfemnav.geometry.redrawn import ring_at_rest
+    from xfemnav.geometry.resection import place_resection, place_united
+    from xfemnav.imaging.regions import outlined
+
+    (slice, _), items, least = inputs.value("segment"), params.resections, _least_mm2(params)
+
+    def at_rest(item, rings):
+        redrawn = _is_redrawn(item)
+        return tuple(ring_at_rest(ring, _motion(item, inputs), item.name) if redrawn else ring for ring in rings)
+
+    placed = {k: place_resection(at_rest(item, (_plane(slice, item.outline, item.space),)), outline, item.name)
+              for k, item in enumerate(items) if item.outline is not None}
+    groups = [[k for k in found if not _is_redrawn(items[k])], *([k] for k in found if _is_redrawn(items[k]))]
+    for group in filter(None, groups):
+        own, united = outlined([found[k] for k in group], slice, least)
+        own, united = [at_rest(items[k], rings) for k, rings in zip(group, own)], at_rest(items[group[0]], united)
+        smooth = least - math.pi * slice.spacing.prod()  # each outline loses pi pixels
+        placed |= zip(group, place_united(own, united, outline, [items[k].name for k in group],
+                                          [found[k].name for k in group], smooth))
+    placed = {k: placed[k] for k in sorted(placed) if placed[k]}
+    needed = [load.resection for load in params.pressures if load.resection is not None]
+    for k in found:
+        if k not in placed and (k in needed or not placed):
+            raise XfemnavError("E311", f"resection '{items[k].name}' takes nothing: {found[k].area_mm2:.3g} mm2 of "
+                                       f"{found[k].name} on this slice are in bits under {least:.3g} mm2 (a disc of "
+                                       f"{params.min_resection_mm:g} mm). Take its labels together, label = [1, 3, 4], "
+                                       "or give a smaller --min-resection-mm.")
+    return placed
+
+
+def _is_redrawn(item):
+    """Whether a resection was drawn in a deformed slice: label maps never are."""
+    return item.drawn_after is not None and item.label is None
+
+
+def _marked(item, slice, inputs):
+    from xfemnav.imaging.regions import marked
+
+    return marked(inputs.image("labels" if item.label is not None else f"resection:{item.mask}"), slice, item.label)
+
+
+def _least_mm2(params):
+    """Area of the smallest resection: of the disc that has its size across."""
+    return math.pi / 4 * params.min_resection_mm**2
 
 
 def tissue(params, mesh, inputs):
