@@ -68,6 +68,16 @@ def test_any_field_of_a_nifti_header(kind, changes, choice, dtype, missing):
     fed("nifti", bytes([choice]) + content[: len(content) - missing // 20 * missing])
 
 
+@settings(max_examples=150, deadline=HANG)
+@given(start=st.sampled_from(seeds("dicom")), missing=st.integers(0, 400), changes=st.lists(
+    st.tuples(st.integers(128, 1000), st.binary(max_size=9)), max_size=4))
+def test_any_bytes_anywhere_in_a_dicom_file(start, changes, missing):
+    content = bytearray(start)
+    for place, new in changes:
+        content[place : place + len(new)] = new
+    fed("dicom", bytes(content[: len(content) - missing // 20 * missing]))
+
+
 def test_voxels_beyond_float32_are_not_written_as_infinite():
     """An image is updated in float32: a value that is infinite there counts as infinite."""
     assert not fed("nifti", b"\0" + header(nibabel.Nifti2Image, "<i2", [("scl_slope", 0, 1e300)]))

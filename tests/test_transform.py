@@ -1,6 +1,8 @@
 """The motion on a grid: other programs resample and carry points as xfemnav does, in every plane and storage order."""
 
+import resource
 import time
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +15,9 @@ from data_synthetic.phantom import TIP
 from tests.motions import GRID, LAS, MIXED, MOVED, REST, SCENES, THICKNESS, finer, landing, slice_in
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.imaging.gaps import NOWHERE, bridged, extended
-from xfemnav.imaging.hdf5 import clear_times
 from xfemnav.imaging.slices import to_nifti
 from xfemnav.imaging.transform import MARGIN, backward, forward, itk_transform, roomy, write_transform
-from xfemnav.imaging.vectors import LPS
+from xfemnav.imaging.vectors import LPS, write_nrrd
 from xfemnav.imaging.warp import covered, pull_back
 
 # Headers of NIfTI hold float32, 1e-5 mm at 100 mm; the promise is a hundred times wider.
@@ -171,17 +172,34 @@ def test_the_same_field_gives_the_same_bytes(tmp_path):
     assert sitk.ReadTransform(str(tmp_path / "a.h5")).GetName() == "CompositeTransform"
 
 
+@pytest.mark.parametrize("write", [write_transform, lambda *stated: write_nrrd(*stated, "modeling")],
+                         ids=["h5", "nrrd"])
+def test_a_disk_without_room_is_an_error_of_the_system_at_every_size(tmp_path, write):
+    """Which the writer of all files tells (E501, E502): nothing leaves the process, nothing is cut off in silence."""
+    slice, path = slice_in(), tmp_path / "t"
+    write(path, slice, FIELDS["bridged"])
+    whole = path.read_bytes()
+    for size in (*range(0, len(whole), len(whole) // 25 + 1), len(whole) - 10, len(whole) - 1):
+        with room_for(size), pytest.raises(OSError, match=r"too large|No space"):
+            write(path, slice, FIELDS["bridged"])
+    write(path, slice, FIELDS["bridged"])
+    assert path.read_bytes() == whole
+
+
+@contextmanager
+def room_for(n_bytes):
+    """Files of this process can hold `n_bytes` at most."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
 def test_gaps_have_two_names():
     with pytest.raises(ValueError, match="bridged or extended"):
         backward(slice_in(), REST, REST, MOVED, "open")
-
-
-def test_letters_without_a_checksum_are_left_alone(tmp_path):
-    path, data = tmp_path / "x.h5", b"\x89HDF" + b"OHDR\x02\x20" + bytes(range(80))
-    for n in (len(data), 12, 9):
-        path.write_bytes(data[:n])
-        clear_times(path)
-        assert path.read_bytes() == data[:n]
 
 
 @pytest.mark.parametrize("gaps", FIELDS)

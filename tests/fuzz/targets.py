@@ -1,6 +1,7 @@
 """What a fuzzer may feed: bytes as a file, read as a run reads it. Only coded errors and right values may come out."""
 
 import gzip
+import io
 import json
 import os
 import tempfile
@@ -9,6 +10,15 @@ from pathlib import Path
 
 import nibabel
 import numpy as np
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import (
+    DeflatedExplicitVRLittleEndian,
+    ExplicitVRBigEndian,
+    ExplicitVRLittleEndian,
+    ImplicitVRLittleEndian,
+    MRImageStorage,
+    RLELossless,
+)
 
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
 from xfemnav.imaging.point_files import read_control_points, read_points
@@ -64,6 +74,17 @@ def nifti(data: bytes) -> bool:
     return True
 
 
+def dicom(data: bytes) -> bool:
+    """Whether `data` are read as the one slice of a series."""
+    path = _written("series/0.dcm", data)
+    image = refused_or(read_image, path.parent, nan=0.0, max_memory_gb=0.1)
+    if image is None:
+        return False
+    assert np.isfinite(image.values).all() and abs(np.linalg.det(image.affine)) > 0
+    assert image.file_digest == content_digest(path.parent)
+    return True
+
+
 def markups(data: bytes) -> bool:
     """Whether `data` are read as markups or another point file, drawn and as stored."""
     path = _written("cut.mrk.json", data)
@@ -100,6 +121,7 @@ def words(name: str) -> list[str]:
 
 def _written(name: str, content: bytes) -> Path:
     path = FOLDER / name
+    path.parent.mkdir(exist_ok=True)
     path.write_bytes(content)
     return path
 
@@ -124,6 +146,33 @@ def _nifti_seeds() -> list[bytes]:
             found += [bytes([choice]) + image.to_bytes() for choice in (0, 1, 2)]
         found.append(b"\0" + kind(np.stack([values, values], -1), AFFINE).to_bytes())
     return found
+
+
+def _dicom_seeds() -> list[bytes]:
+    return [_dicom(syntax, dtype) for syntax in (ImplicitVRLittleEndian, ExplicitVRLittleEndian, ExplicitVRBigEndian,
+                                                 DeflatedExplicitVRLittleEndian, RLELossless) for dtype in ("u1", "i2")]
+
+
+def _dicom(syntax, dtype: str) -> bytes:
+    """One slice of 6 x 4 pixels, with a nested sequence, MONOCHROME1, slope and intercept."""
+    plane, item, file = Dataset(), Dataset(), io.BytesIO()
+    plane.file_meta = FileMetaDataset()
+    plane.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian if syntax == RLELossless else syntax
+    plane.SOPClassUID, plane.SOPInstanceUID, plane.SeriesInstanceUID = MRImageStorage, "1.2.3", "1.2.4"
+    item.ReferencedSOPClassUID = MRImageStorage
+    plane.ReferencedStudySequence = [item]
+    plane["ReferencedStudySequence"].is_undefined_length = True
+    plane.ImagePositionPatient, plane.ImageOrientationPatient = [1, 2, 3], [1, 0, 0, 0, 1, 0]
+    plane.PixelSpacing, plane.SliceThickness, plane.RescaleSlope, plane.RescaleIntercept = [1, 2], 3, "0.5", "-7"
+    plane.Rows, plane.Columns, plane.SamplesPerPixel, plane.PhotometricInterpretation = 4, 6, 1, "MONOCHROME1"
+    plane.BitsAllocated = plane.BitsStored = 8 * np.dtype(dtype).itemsize
+    plane.HighBit, plane.PixelRepresentation = plane.BitsStored - 1, int(dtype == "i2")
+    plane.PixelData = np.arange(24).astype((">" if syntax == ExplicitVRBigEndian else "<") + dtype).tobytes()
+    plane["PixelData"].VR = "OW"
+    if syntax == RLELossless:
+        plane.compress(RLELossless)
+    plane.save_as(file, enforce_file_format=True)
+    return file.getvalue()
 
 
 def _markups_seeds() -> list[bytes]:
@@ -152,8 +201,8 @@ def _scenario_seeds() -> list[bytes]:
                                        head + '[boundary]\ndisplacement = "surface.csv"\n')]
 
 
-TARGETS = {"nifti": nifti, "markups": markups, "scenario": scenario}
-SEEDS = {"nifti": _nifti_seeds, "markups": _markups_seeds, "scenario": _scenario_seeds}
+TARGETS = {"nifti": nifti, "dicom": dicom, "markups": markups, "scenario": scenario}
+SEEDS = {"nifti": _nifti_seeds, "dicom": _dicom_seeds, "markups": _markups_seeds, "scenario": _scenario_seeds}
 
 _KEPT = tempfile.TemporaryDirectory(prefix="xfemnav-fuzz-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None)
 FOLDER = Path(_KEPT.name)

@@ -73,16 +73,21 @@ def read(stream, n_bytes: int, name: str) -> bytes:
             parts.append(part)
             missing -= len(part)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        check = f"; check with: gzip -t {name}" if isinstance(stream, gzip.GzipFile) else "."
         raise XfemnavError("E101", f"{name} is damaged: {error} (after {n_bytes - missing} of {n_bytes} bytes). "
-                                   f"Copy it again; check with: gzip -t {name}") from None
+                                   f"Copy it again{check}") from None
     return b"".join(parts)
 
 
 class Zlib:
-    """Reads a zlib stream as gzip.GzipFile reads its own, to the end of its checksum."""
+    """Reads a zlib stream as gzip.GzipFile reads its own, to the end of its checksum.
 
-    def __init__(self, packed: bytes):
-        self._packed, self._place, self._inflater, self._waiting = packed, 0, zlib.decompressobj(), b""
+    With `raw`, one that is deflated alone, without checksum, behind which zeros may stand.
+    """
+
+    def __init__(self, packed: bytes, raw: bool = False):
+        self._packed, self._place, self._waiting, self._raw = packed, 0, b"", raw
+        self._inflater = zlib.decompressobj(-zlib.MAX_WBITS if raw else zlib.MAX_WBITS)
 
     def read(self, n_bytes: int) -> bytes:
         """Between 1 and `n_bytes` bytes, or none at the end."""
@@ -90,14 +95,69 @@ class Zlib:
             self._waiting = self._waiting or self._packed[self._place : self._place + CHUNK]
             self._place += 0 if self._inflater.unconsumed_tail else len(self._waiting)
             if not self._waiting:
-                raise EOFError("its zlib stream ends early")
+                raise EOFError("its deflated stream ends early")
             part = self._inflater.decompress(self._waiting, n_bytes)
             self._waiting = self._inflater.unconsumed_tail
             if part:
                 return part
-        if self._inflater.unused_data or self._place < len(self._packed):
-            raise zlib.error("bytes follow its zlib stream")
+        rest = self._inflater.unused_data + self._packed[self._place :]
+        if rest.strip(b"\0") or (rest and not self._raw):
+            raise zlib.error("bytes follow its deflated stream")
         return b""
+
+
+class Forwards:
+    """A stream as a file that is read forwards: `read`, `tell`, and a `seek` that goes back by BACK bytes at most.
+
+    Of what is skipped nothing is kept, so that memory follows what is asked for. Raises E102 when more than `limit`
+    bytes come out of the stream, E101 when it is damaged, and E105 after READS reads: a reader that keeps something of
+    each would fill the memory.
+    """
+
+    BACK, READS = 1 << 16, 100_000
+
+    def __init__(self, stream, limit: int, name: str):
+        self._stream, self._limit, self._name = stream, limit, name
+        self._kept, self._end, self._at, self._reads = bytearray(), 0, 0, 0
+
+    def tell(self) -> int:
+        return self._at
+
+    def seek(self, place: int, whence: int = 0) -> int:
+        self._at = place + (self._at if whence else 0)
+        return self._at
+
+    def read(self, n_bytes: int = CHUNK) -> bytes:
+        """At most `n_bytes` from here on; fewer at the end alone."""
+        self._reads += 1
+        if self._reads > self.READS:
+            raise XfemnavError("E105", f"{self._name} has more than {self.READS} parts, as no image has. Get it again "
+                                       "from its source.")
+        while (missing := self._at + n_bytes - self._end) > 0 and (part := self._part(max(missing, self.BACK))):
+            self._kept += part
+            self._end += len(part)
+            if self._end > self._limit:
+                raise XfemnavError("E102", f"{self._name} unpacks to more than {size(self._limit)}, all that the limit "
+                                           "leaves; raise it with --max-memory if the file is right.")
+            del self._kept[: max(self._at - self.BACK - self._start, 0)]
+        found = bytes(self._kept[self._at - self._start : self._at - self._start + n_bytes])
+        self._at += len(found)
+        return found
+
+    def finish(self) -> None:
+        """Read what is left, and forget it: only at its end does a stream tell that it is whole."""
+        while self.read():
+            pass
+
+    def _part(self, n_bytes: int) -> bytes:
+        try:
+            return self._stream.read(min(n_bytes, CHUNK))
+        except (EOFError, zlib.error) as error:
+            raise XfemnavError("E101", f"{self._name} is damaged: {error}. Copy it again.") from None
+
+    @property
+    def _start(self) -> int:
+        return self._end - len(self._kept)
 
 
 def parts_digest(parts: dict[str, bytes]) -> str:

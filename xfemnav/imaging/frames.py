@@ -7,10 +7,10 @@ to ITK always those that the header states beside the frames.
 
 from dataclasses import dataclass
 
-import nibabel
 import numpy as np
 
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.imaging.lean import nibabel
 from xfemnav.limits import APART
 
 OTHER = {"sform": "qform", "qform": "sform"}

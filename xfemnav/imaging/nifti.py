@@ -5,12 +5,12 @@ The header is checked field by field before any voxel is touched, because reader
 Field meanings: NIfTI-1.1 and NIfTI-2 header files, https://nifti.nimh.nih.gov.
 """
 
-import nibabel
 import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.formats import VOXEL_MM, Header, check_affine, is_usable
 from xfemnav.imaging.frames import OTHER, Frames, chosen
+from xfemnav.imaging.lean import nibabel
 
 SCALAR_TYPES = {2: "u1", 4: "i2", 8: "i4", 16: "f4", 64: "f8", 256: "i1", 512: "u2", 768: "u4", 1024: "i8", 1280: "u8"}
 COLOUR_TYPES = {128: "RGB", 2304: "RGBA"}

@@ -198,7 +198,7 @@ def _folder(path: Path, limit: int, name: str) -> _Source:
         if n_bytes > limit:
             raise XfemnavError("E102", f"the files of {name} hold more than the limit of {content.size(limit)}; raise "
                                        "it with --max-memory if the folder is right.")
-    found = series.read_series(path, files)
+    found = series.read_series(path, files, limit)
     return _Source(found.header, found.frame, found.voxels, series.NO_POSITION, content.listed_digest(hashes))
 
 

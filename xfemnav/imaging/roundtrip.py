@@ -7,13 +7,13 @@ otherwise. Frames are written out here by hand, so that a sign that is wrong in 
 import json
 from pathlib import Path
 
-import nibabel
 import numpy as np
 import SimpleITK as sitk
 
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.imaging.known import CUT, HALF, OBLIQUE, ORDERS, STRAIGHT, Mismatch, Scene, agree
 from xfemnav.imaging.landmarks import moved_points, resting_points
+from xfemnav.imaging.lean import nibabel
 from xfemnav.imaging.point_files import read_points, write_points
 from xfemnav.imaging.points import PointSet
 from xfemnav.imaging.reading import Image, read_image

@@ -32,13 +32,15 @@ class Series(NamedTuple):
     voxels: Callable
 
 
-def read_series(folder: Path, files: dict[str, bytes]) -> Series:
+def read_series(folder: Path, files: dict[str, bytes], limit: int) -> Series:
     """The one series of a folder whose `files` hold these bytes, or none where they are no DICOM.
+
+    Deflated files are unpacked to `limit` bytes at most, what the files hold counted in.
 
     Raises E101, E102, E105, E106, E110 and E122 as `read_plane`; E121 (several images at each position), E123 (several
     series), E124 (slices missing, doubled, or not on one grid); warns W113 (files skipped).
     """
-    planes = _one_series(folder, _planes(folder, files))
+    planes = _one_series(folder, _planes(folder, files, limit))
     shape = (*planes[0].shape, len(planes))
     if len({plane.shape for plane in planes}) > 1:
         raise _no_volume(folder, f"has slices of {len({plane.shape for plane in planes})} sizes")
@@ -53,11 +55,15 @@ def read_series(folder: Path, files: dict[str, bytes]) -> Series:
     return Series(Header(shape, np.dtype(float), 0), lambda: _frame(folder, planes), voxels)
 
 
-def _planes(folder: Path, files: dict[str, bytes]) -> list[dicom.Plane]:
+def _planes(folder: Path, files: dict[str, bytes], limit: int) -> list[dicom.Plane]:
     if not any(files.values()):
         raise XfemnavError("E106", f"{folder} is a folder without DICOM files; give an image file (.nii.gz), or the "
                                    "folder that holds one DICOM series itself.")
-    planes = {name: dicom.read_plane(folder / name, data) for name, data in files.items() if data}
+    planes, room = {}, limit - sum(map(len, files.values()))
+    for name, data in files.items():
+        if data:
+            planes[name] = plane = dicom.read_plane(folder / name, data, room)
+            room -= len(plane.data) if plane else 0
     foreign = [name for name, data in files.items() if not data]
     for name in foreign:
         if Path(name).suffix.lower() in OF_SLICES or Path(name).suffix[1:].isdigit():
@@ -133,7 +139,8 @@ def _frame(folder: Path, planes: list[dicom.Plane]) -> tuple[np.ndarray, int]:
     """Affine (4, 4) voxel -> RAS mm, and its code: 1, or 0 for a single slice that states no position. Raises E110."""
     first, last, name = planes[0], planes[-1], folder.name
     spacing = first.spacing
-    if spacing is None or any(p.spacing is None or abs(p.spacing / spacing - 1).max() > SKEW for p in planes):
+    if spacing is None or any(p.spacing is None or abs(p.spacing - spacing).max() > SKEW * spacing.min()
+                              for p in planes):
         raise XfemnavError("E110", f"{name} has slices without PixelSpacing, or with different ones. Give the pixel "
                                    "sizes: --spacing 0.9,0.9,2.")
     stated = first.position is not None and first.turn is not None

@@ -11,12 +11,12 @@ and 3D Slicer show them. What is given in mm does not depend on the order.
 from dataclasses import dataclass
 from itertools import permutations
 
-import nibabel
 import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging.frames import OTHER, Frames, from_voxel
+from xfemnav.imaging.lean import nibabel
 from xfemnav.imaging.reading import Image
 
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal

@@ -12,7 +12,7 @@ import SimpleITK as sitk
 
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.imaging.gaps import bridged, extended
-from xfemnav.imaging.hdf5 import clear_times
+from xfemnav.imaging.hdf5 import transform_bytes
 from xfemnav.imaging.slices import Slice
 from xfemnav.imaging.vectors import vector_image
 from xfemnav.imaging.warp import PullBack, covered, pull_back
@@ -74,6 +74,14 @@ def itk_transform(slice: Slice, field) -> sitk.CompositeTransform:
 
 
 def write_transform(path, slice: Slice, field) -> None:
-    """Write `itk_transform` as ITK's .h5 file; the same field gives the same bytes."""
-    sitk.WriteTransform(itk_transform(slice, field), str(path))
-    clear_times(Path(path))
+    """Write `itk_bytes` to `path`. Raises OSError."""
+    Path(path).write_bytes(itk_bytes(slice, field))
+
+
+def itk_bytes(slice: Slice, field) -> bytes:
+    """`itk_transform` as ITK's .h5 file; the same field gives the same bytes."""
+    part = sitk.DisplacementFieldTransform(itk_transform(slice, field).GetNthTransform(0))
+    vectors = sitk.GetArrayViewFromImage(part.GetDisplacementField())
+    return transform_bytes([
+        ("CompositeTransform_double_3_3", (), ()),
+        ("DisplacementFieldTransform_double_3_3", part.GetFixedParameters(), vectors.ravel())])

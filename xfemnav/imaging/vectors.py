@@ -6,10 +6,13 @@ SPREAD thicknesses apart: points half a slice off the plane are inside even for 
 centres, and those of the next slice are outside even for ITK, which goes on for half a step.
 """
 
-import nibabel
+import gzip
+from pathlib import Path
+
 import numpy as np
 import SimpleITK as sitk
 
+from xfemnav.imaging.lean import nibabel
 from xfemnav.imaging.slices import Slice, to_nifti
 
 SPREAD = 0.6                             # between 1/2 and 2/3
@@ -31,12 +34,35 @@ def vector_image(slice: Slice, field) -> sitk.Image:
 
 
 def write_nrrd(path, slice: Slice, field, kind: str) -> None:
-    """Write `vector_image` as .nrrd, float32, of a `kind` of KINDS; the same field gives the same bytes."""
+    """Write `nrrd_bytes` to `path`. Raises OSError."""
+    Path(path).write_bytes(nrrd_bytes(slice, field, kind))
+
+
+def nrrd_bytes(slice: Slice, field, kind: str) -> bytes:
+    """`vector_image` as .nrrd, float32, of a `kind` of KINDS; the same field gives the same bytes.
+
+    Made in memory: teem, which writes NRRD for ITK, says nothing of a disk that is full at a file's last bytes.
+    """
     if kind not in KINDS:
         raise ValueError(f"kind is {kind!r}, wanted one of {KINDS}")
-    image = sitk.Cast(vector_image(slice, field), sitk.sitkVectorFloat32)
-    image.SetMetaData("displacement field type", kind)
-    sitk.WriteImage(image, str(path), useCompression=True)
+    image = vector_image(slice, field)
+    vectors = sitk.GetArrayViewFromImage(image).astype("<f4")
+    axes = np.reshape(image.GetDirection(), (3, 3)).T * np.array(image.GetSpacing())[:, None]
+    origin, *columns = ("({},{},{})".format(*place) for place in (image.GetOrigin(), *axes.tolist()))
+    header = f"""NRRD0004
+type: float
+dimension: 4
+space: left-posterior-superior
+sizes: 3 {" ".join(map(str, image.GetSize()))}
+space directions: none {" ".join(columns)}
+kinds: vector domain domain domain
+endian: little
+encoding: gzip
+space origin: {origin}
+displacement field type:={kind}
+
+"""
+    return header.encode() + gzip.compress(vectors.tobytes(), compresslevel=1, mtime=0)
 
 
 def field_nifti(slice: Slice, field) -> nibabel.Nifti1Image:

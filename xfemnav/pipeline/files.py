@@ -16,8 +16,13 @@ SAME_MM = 1e-6  # corners of neighbouring triangles closer than this, at rest an
 
 
 def write_nifti(path: Path, image) -> None:
-    """Write a nibabel image as .nii.gz without the time of day, so that equal images are equal files."""
-    path.write_bytes(gzip.compress(image.to_bytes(), compresslevel=LEVEL, mtime=0))
+    """Write `nifti_bytes` to `path`. Raises OSError."""
+    path.write_bytes(nifti_bytes(image))
+
+
+def nifti_bytes(image) -> bytes:
+    """A nibabel image as .nii.gz without the time of day, so that equal images are equal files."""
+    return gzip.compress(image.to_bytes(), compresslevel=LEVEL, mtime=0)
 
 
 def write_vtu(path: Path, points, cells, point_data: dict | None = None, cell_data: dict | None = None) -> None:

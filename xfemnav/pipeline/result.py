@@ -1,6 +1,5 @@
 """The Python face: run, then ask where tissue is and where it was."""
 
-import tempfile
 from functools import cached_property
 from pathlib import Path
 
@@ -216,10 +215,8 @@ class Result:
             field = forward(frame, rest, moved)
         else:
             raise ValueError(f"direction is {direction!r}, wanted backward or forward")
-        with tempfile.TemporaryDirectory(prefix="xfemnav-") as scratch:
-            made = Path(scratch) / f"transform{suffix}"
-            TRANSFORMS[suffix](made, frame, field, {"backward": "resampling", "forward": "modeling"}[direction])
-            write_atomic(Path(path), made.read_bytes())
+        meaning = {"backward": "resampling", "forward": "modeling"}[direction]
+        write_atomic(Path(path), TRANSFORMS[suffix](frame, field, meaning))
 
     def _updated(self, values, interp: str = "nearest", outside: str = "keep", fill: float = 0.0):
         from xfemnav.imaging.warp import covered, enclosed, update
@@ -281,24 +278,24 @@ def _read(path: Path, kind: str | None, nifti_frame: str):
         return read_components(path, nan=0.0, nifti_frame=nifti_frame)
 
 
-def _write_h5(path, frame, field, meaning) -> None:
-    from xfemnav.imaging.transform import write_transform
+def _h5(frame, field, meaning) -> bytes:
+    from xfemnav.imaging.transform import itk_bytes
 
-    write_transform(path, frame, field)
-
-
-def _write_nrrd(path, frame, field, meaning) -> None:
-    from xfemnav.imaging.vectors import write_nrrd
-
-    write_nrrd(path, frame, field, meaning)
+    return itk_bytes(frame, field)
 
 
-def _write_nifti(path, frame, field, meaning) -> None:
+def _nrrd(frame, field, meaning) -> bytes:
+    from xfemnav.imaging.vectors import nrrd_bytes
+
+    return nrrd_bytes(frame, field, meaning)
+
+
+def _nifti(frame, field, meaning) -> bytes:
     from xfemnav.imaging.vectors import field_nifti
-    from xfemnav.pipeline.files import write_nifti
+    from xfemnav.pipeline.files import nifti_bytes
 
-    write_nifti(path, field_nifti(frame, field))
+    return nifti_bytes(field_nifti(frame, field))
 
 
-#: Suffix of a transform's file: its writer.
-TRANSFORMS = {".h5": _write_h5, ".nrrd": _write_nrrd, ".nii.gz": _write_nifti}
+#: Suffix of a transform's file: what makes its bytes.
+TRANSFORMS = {".h5": _h5, ".nrrd": _nrrd, ".nii.gz": _nifti}
