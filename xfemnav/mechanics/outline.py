@@ -86,21 +86,28 @@ def hung(space: Space, constraints: Constraints, springs, weak) -> csr_array | N
 
 
 def skull_conditions(
-    space: Space, skull: Skull, mouths, material: Material | Tissue, measured=None, weight: float | None = None
+    space: Space,
+    skull: Skull,
+    mouths,
+    material: Material | Tissue,
+    measured=None,
+    weight: float | None = None,
+    pulled=(),
 ) -> OutlineConditions:
     """Conditions, springs and contacts on the outline.
 
     mouths (m, 2) mm: the mouths about which the skull is open. measured (k, 4 or 5): x, y, ux, uy mm and, where it
     matters, side (+1 left, -1 right): displacements of the outline, interpolated along it. weight: None to hold them
     exactly, else kPa / mm: springs of that stiffness, per mm of outline, pull towards them (weighted least squares).
-    Raises XfemnavError E408 when the measured points lie off the outline, E409 for arcs that do.
+    pulled: numbers of the cuts that blades act on.
+    Raises XfemnavError E408 when the measured points lie off the outline or hold nothing, E409 for arcs that do.
     """
     n_dof = space.enrichment.n_dof
     rim = rim_points(space)
     kinds, gaps = facet_kinds(space, skull.kind, skull.gap_mm, skull.arcs)
     known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
     if measured is not None:
-        known, values = measured_at(space, rim, np.asarray(measured, float))
+        known, values = measured_at(space, rim, np.asarray(measured, float), pulled)
     depth = _Depth(space, kinds, skull.craniotomy_mm, mouths)
     rigid = ~known & (depth(rim.points) >= _rigid_from(skull, rim.lengths))
     kind = kinds[rim.facet]
@@ -112,7 +119,7 @@ def skull_conditions(
     if measured is not None and weight is None:
         parts.insert(0, _vector_conditions(space, rim, known, values))
     elif measured is not None:
-        pull, load = _weighted(space, np.asarray(measured, float), weight)
+        pull, load = _weighted(space, np.asarray(measured, float), weight, pulled)
         springs = csr_array(springs + pull)
     touching = ~known & (kind == "contact") & (_distance(rim.points, mouths) >= skull.craniotomy_mm)
     touching[2 * b :] = False
@@ -239,12 +246,12 @@ def _spring_matrix(space, rim, k):
     return both_components(B.T @ scaled)
 
 
-def _weighted(space, measured, weight):
+def _weighted(space, measured, weight, pulled):
     """Springs (n_dof, n_dof) kPa and load (n_dof,) mN of the integral of weight (u - measured).v, where it is known."""
     if not 0 < weight < np.inf:
         raise XfemnavError("E408", f"measured displacements have the weight {weight:g} kPa/mm; give a positive number.")
     rim, weights = rim_quadrature(space, np.arange(len(space.subcells.rim_part)), pieces=2)
-    known, values = measured_at(space, rim, measured)
+    known, values = measured_at(space, rim, measured, pulled)
     k = weight * weights * known
     load = space.basis_in(rim.points, rim.parts).T @ (k[:, None] * values)
     return _spring_matrix(space, rim, k), load.ravel()

@@ -163,7 +163,9 @@ def pose(
         spans = _spans(space, cuts, retractions, lip_constraint, again=bool(taken))
         _refuse_overlap(cuts, retractions, spans)
         _refuse_swapped(space, cuts, retractions, spans)
-        outline = skull_conditions(space, skull, mouths, material, boundary_displacement, boundary_weight)
+        outline = skull_conditions(
+            space, skull, mouths, material, boundary_displacement, boundary_weight, {r.cut for r in retractions}
+        )
         conditions, springs = [outline.constraints], outline.springs
         load = outline.load + dead_loads(space, gravity, pressures, resections)
         for group, (retraction, span) in enumerate(zip(retractions, spans)):
