@@ -69,6 +69,33 @@ def test_what_hangs_on_a_weak_spring_alone_is_stopped_where_it_touches():
     assert_allclose(found.force, 1.0, rtol=1e-4)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_gaps_are_judged_beside_the_motion(seed):
+    """Rounding grows with the displacements: the same problem in micrometres is solved to the same digits."""
+    K, load, G, gap = problem(seed, 30, 20)
+    once = solved(K, load, G, gap)
+    n = K.shape[0]
+    large = minimise(K, 1e9 * load, np.zeros(n), eye_array(n, format="csc"), contacts(G, 1e9 * gap))
+    assert (once.force > 0).any()
+    assert_allclose(large.U / 1e9, once.U, atol=1e-9)
+
+
+def test_what_hangs_on_springs_moves_on_as_they_give_way():
+    """A body pressed onto a floor by one load and drawn along it by another, on a spring of 1e-5: its sway is minus the
+    derivative by the logarithm of the spring's stiffness."""
+    def along(k):
+        K = csc_array(np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) + k * np.diag([1.0, 0.0, 1.0]))
+        load, G = np.array([0.0, -1.0, 3e-5]), csr_array([[1.0, 0.0, 0.2]])
+        hung = csc_array(np.diag([k, 0.0, k]))
+        return minimise(K, load, np.zeros(3), eye_array(3, format="csc"), contacts(G, [0.5]), hung=hung)
+
+    k = 1e-5
+    found, more, less = along(k), along(1.001 * k), along(k / 1.001)
+    assert found.force > 0
+    assert_allclose(found.sway, (less.U - more.U) / np.log(1.001**2), rtol=1e-4, atol=1e-4)
+    assert abs(found.sway[2]) > 1
+
+
 def test_the_minimum_is_the_one_of_a_general_optimiser():
     K, load, G, gap = problem(3)
     found = solved(K, load, G, gap)

@@ -20,3 +20,5 @@ FOLDED_NOTICE = Limit(0.01, "mm²", "tissue turned inside out (W402)")
 APART = Limit(0.1, "mm", "distance in the organ between the two frames of a header (W114)")
 # A mesh coarser than this tells nothing of what is thin: wider strips of tissue are real.
 SHRED_WIDTH = Limit(4.0, "mm", "the element's width under which tissue beside a resection goes with it (W210)")
+# Springs of 1e-6 E / mm: what they carry moves by as much again when they are half as stiff.
+SWAY = Limit(0.1, "mm", "motion that hangs on the springs of what only touches the skull (W410)")

@@ -127,7 +127,7 @@ class LipModes:
                 f"({x:.1f}, {y:.1f}) mm; correct the displacements there, or give lips='free'.",
             )
         zero = np.zeros(len(self.system.A))
-        _, force = pressed(self.system, self.system.A, zero, zero, csr_array(G[live]), gap[live])
+        _, force, _ = pressed(self.system, self.system.A, zero, zero, csr_array(G[live]), gap[live])
         q, multipliers = self.system.constrained((G[live].T @ force)[:, None], np.zeros((len(self.d), 1)))
         return self._answer((self.incision.R @ q)[:, 0], multipliers[:, 0])
 

@@ -12,7 +12,7 @@ on as few unknowns as it has free motions, and the pins' forces are then traded 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, lu_factor, lu_solve
+from scipy.linalg import cho_factor, cho_solve, lstsq, lu_factor, lu_solve
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
@@ -21,8 +21,9 @@ from xfemnav.mechanics.factor import NotPositiveDefinite, factor
 
 #: Largest relative residual of a solution that is given out.
 RESIDUAL_LIMIT = 1e-8
-#: A gap this much below zero, mm, is rounding; one that is worse than the limit is not given out.
-TOUCH_MM, GAP_LIMIT_MM = 1e-10, 1e-9
+#: A gap this much below zero, mm, is rounding; one that is worse than the limit, for each mm (one at least) by which
+#: what touches moves, is not given out.
+TOUCH_MM, GAP_LIMIT = 1e-10, 1e-9
 #: A condition whose part on the free unknowns is smaller than this, relative, is settled by what is held.
 SETTLED = 1e-8
 #: Held surfaces this far through each other, mm, contradict the condition between them.
@@ -83,20 +84,29 @@ class Means:
 @dataclass(frozen=True, eq=False)
 class Minimum:
     """U (n_dof,) mm; relative residual; multipliers: force (g,) mN per mm of the contacts, 0 where there is a gap, and
-    mean_force (m,) of the means."""
+    mean_force (m,) of the means; sway (n_dof,) mm: minus dU / d ln k, what hangs on springs of stiffness k."""
 
     U: np.ndarray
     residual: float
     force: np.ndarray
     mean_force: np.ndarray
+    sway: np.ndarray | None = None
 
 
 def minimise(
-    K, load, U0, T, contacts: Contacts | None = None, means: Means | None = None, semidefinite: bool = False
+    K,
+    load,
+    U0,
+    T,
+    contacts: Contacts | None = None,
+    means: Means | None = None,
+    semidefinite: bool = False,
+    hung=None,
 ) -> Minimum:
     """The minimum over U = U0 + T q; K (n_dof, n_dof) kPa, load (n_dof,), U0 and T from `eliminate`.
 
-    `semidefinite` says that K is a sum of squares, so that only what nothing holds can be wrong with it.
+    `semidefinite` says that K is a sum of squares, so that only what nothing holds can be wrong with it. hung: those
+    springs in K, (n_dof, n_dof) kPa, whose part in U is asked for.
 
     Raises XfemnavError E405 when what is held pushes surfaces through each other; E407 when the energy has no minimum,
     when the residual stays above 1e-8, or when no forces were found that keep the gaps open.
@@ -108,12 +118,14 @@ def minimise(
         lu = _Held(A, csr_array(means.C @ T).toarray(), csr_array(T.tocsr()[means.pins]), semidefinite)
         U0 = U0 + T @ lu.reaching(-(means.C @ U0))
     b = T.T @ (load - K @ U0)
-    q, force = _refined(lu, A, b), np.zeros(0)
+    q, force, sway = _refined(lu, A, b), np.zeros(0), None
     if contacts is not None:
         G, gap, force = csr_array(contacts.G @ T), contacts.gap + contacts.G @ U0, np.zeros(len(contacts.gap))
         live = _unsettled(contacts, G, gap, T)
-        q, force[live] = pressed(lu, A, b, q, G[live], gap[live])
+        q, force[live], S = pressed(lu, A, b, q, G[live], gap[live])
         b = b + G.T @ force
+        if hung is not None:
+            sway = T @ _given_way(lu, T.T @ (hung @ (U0 + T @ q)), G[live], S, force[live] > 0)
     size = np.linalg.norm(b) + np.linalg.norm(T.T @ load)
     rest, mean_force = without_means(b - A @ q, T, means)
     residual = float(np.linalg.norm(rest) / size) if size else 0.0
@@ -123,7 +135,7 @@ def minimise(
             f"the linear system was not solved: relative residual {residual:.1e} is above {RESIDUAL_LIMIT:.0e}; "
             "this is a bug, please report it with the run's parameters.",
         )
-    return Minimum(U0 + T @ q, residual, force, mean_force)
+    return Minimum(U0 + T @ q, residual, force, mean_force, sway)
 
 
 def without_means(forces, T, means: Means | None):
@@ -197,14 +209,17 @@ def _unsettled(contacts, G, gap, T):
 
 
 def pressed(lu, A, b, q, G, gap):
-    """q and forces (g,) >= 0 with A q = b + G' force and G q + gap >= 0, each force zero where its gap is open."""
+    """q and forces (g,) >= 0 with A q = b + G' force and G q + gap >= 0, each force zero where its gap is open.
+
+    And the gaps that unit forces open, (g, g) mm per mN per mm; None where no force was needed.
+    """
     force = np.zeros(len(gap))
     opening = gap + G @ q
     if opening.min(initial=0.0) >= -TOUCH_MM:
-        return q, force
-    S = G @ lu.solve(G.T.toarray())
-    scale = 1 / np.sqrt(np.diag(S))
-    S = (S + S.T) / 2 * scale[:, None] * scale
+        return q, force, None
+    give = G @ lu.solve(G.T.toarray())
+    scale = 1 / np.sqrt(np.diag(give))
+    S = (give + give.T) / 2 * scale[:, None] * scale
     for n in range(ROUNDS):
         before, force = force, scale * _complementary(S, force / scale, opening * scale, TOUCH_MM * scale)
         # The first forces may bring back what a load on weak springs has carried far away; then only what changes
@@ -213,14 +228,23 @@ def pressed(lu, A, b, q, G, gap):
         opening = gap + G @ q
         error = np.where(force > 0, np.abs(opening), -opening).max()
         if error <= TOUCH_MM:
-            return q, force
-    if error <= GAP_LIMIT_MM:
-        return q, force
+            return q, force, give
+    if error <= GAP_LIMIT * max(1.0, (abs(G) @ np.abs(q)).max()):
+        return q, force, give
     raise XfemnavError(
         "E407",
         f"the forces between {len(gap)} touching places were not found: a gap is off by {error:.1e} mm; "
         "hold both lips of the cut, or give --lips free, and please report this with the run's parameters.",
     )
+
+
+def _given_way(lu, springs, G, give, touching):
+    """How q goes on as springs give way, whose forces (n,) these are; what touches (g,) bool goes on touching."""
+    q = lu.solve(springs)
+    if touching.any():
+        S = give[np.ix_(touching, touching)]
+        q = q - lu.solve(G[touching].T @ lstsq(S, G[touching] @ q)[0])
+    return q
 
 
 def _complementary(S, x, y, slack):
