@@ -13,7 +13,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.config import STAGES, configure, scenario_problems
 from xfemnav.pipeline.flags import CUT_FLAGS, FILE_FLAGS, FLAGS
 from xfemnav.pipeline.keys import canonical
-from xfemnav.pipeline.scenario import Scenario, problems
+from xfemnav.pipeline.scenario import Scenario, problems, read_toml
 from xfemnav_cli.run import execute, run
 
 SCENARIO = """
@@ -155,6 +155,41 @@ def test_hostile_scenarios_are_one_error(tmp_path, text):
     message = refused("E780", scenario=path)
     assert len(message) < 2000
     assert scenario_problems(path)
+
+
+@pytest.mark.parametrize("written", [
+    lambda text: b"\xef\xbb\xbf" + text.encode(), lambda text: text.replace("\n", "\r\n").encode(),
+    lambda text: text.replace("\n", "\r").encode(), lambda text: text.replace("\n", "\r\n").encode("utf-8-sig")])
+def test_scenarios_as_editors_save_them(scenario, written):
+    wanted = read_toml(scenario)
+    scenario.write_bytes(written(SCENARIO))
+    assert read_toml(scenario) == wanted
+
+
+@pytest.mark.parametrize("content, words", [
+    (SCENARIO.encode("utf-16"), "UTF-16 text"), (SCENARIO.encode("utf-16-le"), "UTF-16 text"),
+    (SCENARIO.encode("utf-16-be"), "UTF-16 text"), (b"# caf\xe9\n" + SCENARIO.encode(), "no UTF-8 text (byte 5)")])
+def test_other_encodings_are_told_by_their_names(scenario, content, words):
+    scenario.write_bytes(content)
+    assert words in refused("E780", scenario=scenario) and words in scenario_problems(scenario)[0]
+
+
+@pytest.mark.parametrize("path", ["C:\\Users\\me\\a.nii", "C:\\data\\a.nii", "D:\\Ubung\\a.nii", "C:\\temp\\a.nii",
+                                  "C:\\brain\\t1.nii"])
+def test_backslashes_in_double_quotes_are_told_with_both_ways_out(scenario, path):
+    """Some of them are escapes that TOML knows: a tab is in the path then, and no backslash."""
+    scenario.write_text(SCENARIO.replace('"head.nii.gz"', f'"{path}"'))
+    for text in (refused("E780", scenario=scenario), scenario_problems(scenario)[0]):
+        assert "single quotes, 'C:\\Users', or with /" in text
+    for mended in (f"'{path}'", f'"{path}"'.replace("\\", "/")):
+        scenario.write_text(SCENARIO.replace('"head.nii.gz"', mended))
+        assert "single quotes" not in " ".join(scenario_problems(scenario))
+
+
+def test_a_file_whose_name_has_a_tab_is_read(scenario):
+    (scenario.parent / "a\tb.nii").write_bytes(b"")
+    scenario.write_text(SCENARIO.replace("head.nii.gz", "a\\tb.nii"))
+    assert configure(scenario=scenario).image.name == "a\tb.nii"
 
 
 def test_check_lists_missing_files_too(scenario):

@@ -5,6 +5,7 @@ Files are written by other programs (SimpleITK, nibabel), so both sides cannot s
 
 import gzip
 import tracemalloc
+import warnings
 import zlib
 
 import nibabel
@@ -340,6 +341,37 @@ def test_what_follows_the_voxels_of_an_mgh_must_be_tags(tmp_path):
     np.testing.assert_array_equal(read_image(put(tmp_path, whole[:-20], "v.mgh")).values, counts())  # tail is optional
     for junk in (bytes(100), b"junk" * 9, b"x"):
         assert code_of(put(tmp_path, mgh(counts(">f4"), tail=junk), "v.mgh")) == "E102"
+
+
+def padded(rest: bytes) -> dict[str, tuple]:
+    """Files whose voxels are followed by `rest`: in the stream of the voxels or, where they are packed, behind it."""
+    voxels = counts().tobytes("F")
+    packed, size = zlib.compress(voxels), {"CompressedDataSize": len(zlib.compress(voxels))}
+    gz, z, beside = {"encoding": "gzip"}, {"CompressedData": "True"}, {"data file": "v.raw"}
+    return {"raw.nrrd": (nrrd() + rest,), "inside.nrrd": (nrrd(fields=gz, data=gzip.compress(voxels + rest)),),
+            "behind.nrrd": (nrrd(fields=gz, data=gzip.compress(voxels) + rest),),
+            "beside.nhdr": (nrrd(fields=beside, data=b""), voxels + rest), "raw.mha": (mha() + rest,),
+            "inside.mha": (mha(fields=z | {"CompressedDataSize": len(zlib.compress(voxels + rest))},
+                               data=zlib.compress(voxels + rest)),),
+            "behind.mha": (mha(fields=z | size, data=packed + rest),),
+            "beside.mhd": (mha(fields={"ElementDataFile": "v.raw"}, data=b""), voxels + rest)}
+
+
+@pytest.mark.parametrize("name", padded(b""))
+def test_zeros_after_the_voxels_are_padding_in_every_format(tmp_path, name):
+    """As ITK reads them. Behind a packed stream, zeros are what its own readers skip; nothing is said of them."""
+    for rest, code in ((bytes(512), "W136"), (bytes(99) + b"x", {"behind": "E101"}.get(name[:6], "E102"))):
+        for file, content in zip((name, "v.raw"), padded(rest)[name]):
+            path = put(tmp_path, content, file)
+        path = tmp_path / name
+        np.testing.assert_array_equal(sitk.GetArrayFromImage(sitk.ReadImage(str(path))).T, counts())
+        if code.startswith("E"):
+            assert code_of(path) == code
+            continue
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            np.testing.assert_array_equal(read_image(path).values, counts())
+        assert [item.message.code for item in caught] == ([] if name.startswith("behind") else [code])
 
 
 def test_the_memory_limit_is_the_users(tmp_path):

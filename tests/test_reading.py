@@ -261,7 +261,7 @@ def test_a_large_gzip_file_is_read_to_its_trailer(tmp_path):
         broken[place] ^= 1
         assert code_of(written(tmp_path, bytes(broken), "image.nii.gz")) == "E101"
     assert code_of(written(tmp_path, packed[:-1], "image.nii.gz")) == "E101"
-    assert code_of(written(tmp_path, gzip.compress(content + b"\0", 1), "image.nii.gz")) == "E102"
+    assert code_of(written(tmp_path, gzip.compress(content + b"\1", 1), "image.nii.gz")) == "E102"
 
 
 def test_truncated_raw_file(tmp_path):
@@ -274,6 +274,39 @@ def test_a_file_longer_than_its_header_says_has_wrong_dimensions(tmp_path):
     content = nifti(dim=[3, 5, 4, 2, 1, 1, 1, 1])
     assert code_of(written(tmp_path, content)) == "E102"
     assert code_of(written(tmp_path, gzip.compress(content), "image.nii.gz")) == "E102"
+
+
+@pytest.mark.parametrize("n", [1, 512, 300_000, 1 << 20])
+def test_zeros_after_the_voxels_are_padding(tmp_path, n):
+    """As nibabel and SimpleITK read them; up to a limit, and to the checksum behind them."""
+    packed = gzip.compress(nifti() + bytes(n), mtime=0)
+    for content, name in ((nifti() + bytes(n), "image.nii"), (packed, "image.nii.gz")):
+        path = written(tmp_path, content, name)
+        with pytest.warns(XfemnavWarning, match=f"W136 {n} bytes"):
+            image = read_image(path)
+        np.testing.assert_array_equal(image.values, volume())
+        np.testing.assert_array_equal(image.values, nibabel.load(path).get_fdata())
+        assert image.digest == read_image(written(tmp_path, nifti())).digest
+    broken = packed[:-5] + bytes([packed[-5] ^ 1]) + packed[-4:]
+    assert code_of(written(tmp_path, broken, "image.nii.gz")) == "E101"
+
+
+@pytest.mark.parametrize("rest, words", [
+    (bytes((1 << 20) + 1), "too many for padding"), (b"junk", "4 bytes"), (bytes(511) + b"\1", "512 bytes"),
+    (bytes(9) + b"\1" * (1 << 21), "more than")], ids=["zeros", "junk", "late", "long"])
+def test_what_is_no_padding_is_told_as_what_is_known_of_it(tmp_path, rest, words):
+    for content, name in ((nifti() + rest, "image.nii"), (gzip.compress(nifti() + rest), "image.nii.gz")):
+        with pytest.raises(XfemnavError, match="E102") as failure:
+            read_image(written(tmp_path, content, name))
+        assert words in str(failure.value) and "damaged" not in str(failure.value)
+
+
+def test_a_bomb_of_zeros_is_read_no_further_than_padding(tmp_path):
+    path = written(tmp_path, gzip.compress(nifti() + bytes(300_000_000), 9), "image.nii.gz")
+    tracemalloc.start()
+    assert code_of(path) == "E102"
+    assert tracemalloc.get_traced_memory()[1] < 2e7
+    tracemalloc.stop()
 
 
 def test_members_and_zero_padding_of_gzip_are_legal(tmp_path):

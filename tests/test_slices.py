@@ -180,6 +180,30 @@ def test_points_off_the_slice_are_refused_beyond_half_its_thickness():
         assert code_of(plane_points, slice, bad) == "E780"
 
 
+@pytest.mark.parametrize("points, words", [
+    ([[-30, 0, 7], [30, 5, 7]], "one axial plane of the patient, which is at 20.0 degrees"),
+    ([[-30, 0, 7], [0, 3, 7], [30, 5, 7]], "one axial plane of the patient, which is at 20.0 degrees"),
+    ([[0, 4, -20], [3, 4, 30]], "one coronal plane of the patient, which is at 90.0 degrees"),
+    ([[-30, 0, 0], [30, 10, 10]], "run at up to 29.0 degrees"),
+    ([[-30, 0, 0], [30, 10, 10], [0, 30, 0]], "run at up to 33.0 degrees")])
+def test_a_line_that_no_slice_can_hold_is_told_with_its_angle(points, words):
+    """Slices turned by 20 degrees about the patient's front: a line drawn in an anatomical view leaves them."""
+    turn = Rotation.from_euler("y", 20, degrees=True).as_matrix()
+    slice = take_slice(ramp((40, 50, 9), affine_of(turn * [2, 2, 3], (-40, -50, 0))), index=4)
+    with pytest.raises(XfemnavError, match="E307") as failure:
+        plane_points(slice, points)
+    assert words in str(failure.value) and "'Rotate to volume plane'" in str(failure.value)
+    assert "Choose the slice" not in str(failure.value)
+
+
+def test_the_slice_that_holds_a_line_is_named():
+    slice = take_slice(ramp(), index=1)
+    for steps in (2, -3):
+        points = slice.to_world([[1.0, 2.0], [3.0, 4.0]]) + slice.axes[2] * slice.thickness * (steps + 0.2)
+        with pytest.raises(XfemnavError, match=f"--slice-mm {slice.offset + steps * slice.thickness:.4g}"):
+            plane_points(slice, points)
+
+
 # Writing --------------------------------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize("plane", PLANES)

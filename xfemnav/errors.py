@@ -28,7 +28,7 @@ FAULTS: dict[str, Fault] = {
                   "The gzip stream ends early, its CRC does not match, or there are fewer voxels than the header says.",
                   "Copy the file again; check it with `gzip -t FILE`."),
     "E102": Fault(65, "image header claims more voxels than the file or the memory limit can hold",
-                  "The header is wrong, or the file is far larger than an image should be.",
+                  "The header is wrong, the file is far larger than an image should be, or something other than padding follows its voxels.",
                   "Check the file's origin, or raise `--max-memory`."),
     "E103": Fault(65, "image has NaN or infinite pixels",
                   "A processing step divided by zero or masked with NaN.",

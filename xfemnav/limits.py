@@ -22,3 +22,4 @@ APART = Limit(0.1, "mm", "distance in the organ between the two frames of a head
 SHRED_WIDTH = Limit(4.0, "mm", "the element's width under which tissue beside a resection goes with it (W210)")
 # Springs of 1e-6 E / mm: what they carry moves by as much again when they are half as stiff.
 SWAY = Limit(0.1, "mm", "motion that hangs on the springs of what only touches the skull (W410)")
+PADDING = Limit(1 << 20, "bytes", "zeros after the voxels of an image, which pass for padding (W136)")

@@ -1,5 +1,6 @@
 """Bytes of files and folders: bounded, read once, unpacked to the end of their checksums, and their digests."""
 
+import codecs
 import gzip
 import hashlib
 import io
@@ -56,6 +57,16 @@ def each_file(path: Path, limit: int) -> Iterator[tuple[str, bytes]]:
     return ((name, file_bytes(path / name, limit) if sizes[name] else b"") for name in sorted(sizes))
 
 
+def decoded(data: bytes) -> str:
+    """The text of a file: UTF-8, with a byte-order mark or without. Raises ValueError, which says what it is else."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or 0 in data[:2]:
+        raise ValueError("is UTF-16 text ('Unicode' to Notepad and Excel). Save it as UTF-8")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"is no UTF-8 text (byte {error.start}). Save it as UTF-8") from None
+
+
 def opened(packed: bytes, name: str, n_head: int):
     """First `n_head` bytes of a file's content, gunzipped where it is gzip, and the stream of what follows them."""
     stream = gzip.GzipFile(fileobj=io.BytesIO(packed)) if packed.startswith(GZIP_MAGIC) else io.BytesIO(packed)
@@ -80,13 +91,13 @@ def read(stream, n_bytes: int, name: str) -> bytes:
 
 
 class Zlib:
-    """Reads a zlib stream as gzip.GzipFile reads its own, to the end of its checksum.
+    """Reads a zlib stream as gzip.GzipFile reads its own, to the end of its checksum; zeros may follow it.
 
-    With `raw`, one that is deflated alone, without checksum, behind which zeros may stand.
+    With `raw`, one that is deflated alone, without checksum.
     """
 
     def __init__(self, packed: bytes, raw: bool = False):
-        self._packed, self._place, self._waiting, self._raw = packed, 0, b"", raw
+        self._packed, self._place, self._waiting = packed, 0, b""
         self._inflater = zlib.decompressobj(-zlib.MAX_WBITS if raw else zlib.MAX_WBITS)
 
     def read(self, n_bytes: int) -> bytes:
@@ -100,9 +111,8 @@ class Zlib:
             self._waiting = self._inflater.unconsumed_tail
             if part:
                 return part
-        rest = self._inflater.unused_data + self._packed[self._place :]
-        if rest.strip(b"\0") or (rest and not self._raw):
-            raise zlib.error("bytes follow its deflated stream")
+        if (self._inflater.unused_data + self._packed[self._place :]).strip(b"\0"):
+            raise zlib.error("bytes that are no padding follow its deflated stream")
         return b""
 
 

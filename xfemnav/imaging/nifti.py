@@ -53,6 +53,7 @@ def read_header(head: bytes, name: str) -> Header:
     return Header(_shape(raw, name), _dtype(raw, name), _offset(raw, name), slope, inter, int(raw["intent_code"]))
 
 
+@np.errstate(all="ignore")  # what overflows is refused by its result
 def read_frame(head: bytes, name: str, wanted: str = "auto") -> tuple[np.ndarray, int]:
     """Affine (4, 4) voxel -> RAS mm, and its code (0: the file states no position).
 
@@ -72,6 +73,7 @@ def read_frame(head: bytes, name: str, wanted: str = "auto") -> tuple[np.ndarray
     return affine, code if code in nibabel.nifti1.xform_codes.value_set() else 1  # 1: some scanner's frame
 
 
+@np.errstate(all="ignore")  # what overflows is no frame that can be used
 def read_frames(head: bytes) -> Frames | None:
     """Both frames of a header; None where their codes are 0."""
     raw = _raw(head)
@@ -94,7 +96,6 @@ def _unit(raw) -> float:
     return MM_PER_UNIT.get(int(raw["xyzt_units"]) & 7, 1)
 
 
-@np.errstate(all="ignore")  # what overflows is refused by its result
 def _affine(raw, which: str) -> np.ndarray:
     """The frame "sform", "qform" or "base" (pixel sizes alone) of a header, (4, 4) voxel -> RAS mm, unchecked."""
     if raw["pixdim"][0] not in (-1, 1):

@@ -23,6 +23,7 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging import content, dicom, formats, metaimage, mgh, nifti, nrrd, series
 from xfemnav.imaging.frames import Frames
+from xfemnav.limits import PADDING
 
 FORMATS = (nifti, nrrd, metaimage, mgh)  # what a format gives: `formats`
 LARGEST = float(np.finfo(np.float32).max)  # results are float32: what is larger would be infinite there
@@ -101,7 +102,8 @@ def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None, 
     the sform.
     Raises E100 (cannot be opened), E101 (damaged), E102 (too large), E103 (NaN), E105 (header), E106 (no image),
     E110 (affine), E121 (4-D), E122 (colour, complex, vectors), and for a folder E123 (several series) and E124 (its
-    slices make no volume); warns W104 (scaling), W107 (name), W112 (no position), W113 (files skipped in a folder).
+    slices make no volume); warns W104 (scaling), W107 (name), W112 (no position), W113 (files skipped in a folder),
+    W136 (zeros after the voxels).
     """
     stored = _stored(path, int(max_memory_gb * 1e9), nifti_frame, spacing)
     if stored.header.vector:
@@ -234,7 +236,11 @@ def _voxel_bytes(header, head: bytes, stream, limit: int, name: str) -> memoryvi
         head, start = b"", 0
     wanted = start + header.n_bytes
     data = head + content.read(stream, wanted + header.tail + 1 - len(head), name)
-    _check_length(len(data), wanted, header.tail, name)
+    if len(data) < wanted:
+        raise XfemnavError("E101", f"{name} is damaged: it ends after {len(data)} of {wanted} bytes. Copy it again.")
+    if len(data) > wanted + header.tail:
+        rest = data[wanted:]
+        _check_padding(rest + content.read(stream, PADDING.value + 1 - len(rest), name), wanted, name)
     return memoryview(data)[start:]
 
 
@@ -259,12 +265,23 @@ def _check_size(header, limit: int, name: str, all_volumes: bool) -> None:
                                    "header is right.")
 
 
-def _check_length(n_bytes: int, wanted: int, tail: int, name: str) -> None:
-    if n_bytes < wanted:
-        raise XfemnavError("E101", f"{name} is damaged: it ends after {n_bytes} of {wanted} bytes. Copy it again.")
-    if n_bytes > wanted + tail:
-        raise XfemnavError("E102", f"{name} holds more than the {wanted} bytes that its header describes, so its "
-                                   "dimensions are wrong. Convert it again from its source.")
+def _check_padding(rest: bytes, wanted: int, name: str) -> None:
+    """What follows the `wanted` bytes of a file: zeros up to `PADDING` warn W136, all else is E102.
+
+    Other readers skip whatever is there. But of an image with wrong dimensions it is voxels, and those before it are
+    out of place.
+    """
+    more = f"more than {content.size(PADDING.value)}" if len(rest) > PADDING.value else f"{len(rest)} bytes"
+    goes_on = f"{name} goes on after the {wanted} bytes that its header describes, with {more}"
+    if rest.strip(b"\0"):
+        raise XfemnavError("E102", f"{goes_on} that are not all zeros: its dimensions are wrong, or another program "
+                                   "has appended something. Convert it again from its source, or save it again in a "
+                                   "program that shows it rightly.")
+    if len(rest) > PADDING.value:
+        raise XfemnavError("E102", f"{goes_on} of zeros, too many for padding: its dimensions are wrong, or it is not "
+                                   "meant to be read. Convert it again from its source.")
+    warn("W136", f"{more} of zeros follow the voxels of {name}, and are not looked at. If it looks sheared in the "
+                 "figure, its dimensions are wrong.")
 
 
 def _volumes(voxels: np.ndarray) -> np.ndarray:

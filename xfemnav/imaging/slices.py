@@ -21,6 +21,7 @@ from xfemnav.imaging.reading import Image
 
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal
 SKEW = 1e-3  # cosine between e1 and e2 up to which an affine is rounded, not sheared: .05 mm in 100 mm
+FLAT = 0.1  # mm off a plane up to which drawn points lie in it
 SAME_PIXEL = 0.05  # pixels apart up to which two grids are one: files round their affines
 
 
@@ -175,8 +176,34 @@ def plane_points(slice: Slice, points, space: str = "ras") -> np.ndarray:
     if abs(distance[worst]) > slice.thickness / 2 * (1 + 1e-6):
         raise XfemnavError("E307", f"point {worst + 1} at {points[worst].tolist()} is {distance[worst]:.2f} mm off the "
                                    f"{slice.plane} slice at {slice.offset:.2f} mm, over half its thickness "
-                                   f"({slice.thickness / 2:.2f} mm). Choose the slice that holds it.")
+                                   f"({slice.thickness / 2:.2f} mm). {_where_it_lies(slice, world, distance)}")
     return plane
+
+
+def _where_it_lies(slice: Slice, world, distance) -> str:
+    """What to do about points, (n, 3) RAS mm, that are at `distance` (n,) mm from the slice."""
+    low, high, thickness = distance.min(), distance.max(), slice.thickness
+    steps = thickness * np.rint((low + high) / 2 / thickness)
+    if max(high - steps, steps - low) <= thickness / 2 * (1 + 1e-6):
+        return f"Choose the slice that holds it: --slice-mm {slice.offset + steps:.4g}."
+    flat = [name for name, axes in PLANES.items() if np.ptp(world[:, axes[2]]) < FLAT]
+    own = slice.plane if slice.plane in flat or not flat else flat[0]
+    if flat:
+        tilt = np.degrees(np.arccos(min(abs(slice.axes[2, PLANES[own][2]]), 1)))
+        how = f"they lie in one {own} plane of the patient, which is at {tilt:.1f} degrees to the slices"
+    else:
+        how = f"they run at up to {_steepest(slice, world):.1f} degrees to the slices"
+    return (f"No slice holds all points: they span {high - low:.2f} mm across slices of {thickness:.2f} mm, since "
+            f"{how}. Draw them in the image's own {slice.plane} slice: in 3D Slicer, 'Rotate to volume plane'.")
+
+
+def _steepest(slice: Slice, world) -> float:
+    """Angle in degrees between the slices and the plane, or line, that goes best through points (n, 3) RAS mm."""
+    _, sizes, directions = np.linalg.svd(world - world.mean(axis=0), full_matrices=True)
+    sizes = np.append(sizes, np.zeros(3 - len(sizes)))
+    if sizes[1] > FLAT:
+        return float(np.degrees(np.arccos(min(abs(directions[2] @ slice.axes[2]), 1))))
+    return float(np.degrees(np.arcsin(min(abs(directions[0] @ slice.axes[2]), 1))))
 
 
 def to_nifti(slice: Slice, values, dtype=np.float32) -> nibabel.Nifti1Image:

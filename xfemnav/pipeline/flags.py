@@ -4,6 +4,8 @@ What is made here is raw: a dict as TOML gives it, which the schema then checks 
 """
 
 import math
+import os
+import re
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
@@ -60,6 +62,9 @@ FILE_FLAGS = ("companion", "points", "streamlines")
 PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.file", "boundary.displacement",
          "tissue.labels", "cut.*.markups", "resect.*.markups", "resect.*.mask", "companion.*.image", "points.*",
          "streamlines.*")
+BACKSLASH = ("In double quotes a backslash begins an escape: write a path of Windows in single quotes, 'C:\\Users', or "
+             "with /.")
+CONTROL = re.compile(r"[\x01-\x1f\x7f]")
 MARKUPS = (".json", ".fcsv", ".csv", ".tag")
 KINDS = ("continuous", "label", "vector", "tensor")
 MASKS = (".nii", ".nii.gz", ".nrrd", ".mha", ".mgz")
@@ -106,12 +111,15 @@ def _walk(value, pattern, place, places) -> None:
 
 
 def confined(raw: dict, folder: Path) -> dict[str, Path]:
-    """The files that a raw scenario in `folder` names, by place. Raises E781 when one lies outside the folder.
+    """The files that a raw scenario in `folder` names, by place. Raises E781 when one lies outside the folder, and
+    E780 for one with control characters, as a path of Windows in double quotes has them.
 
     Symbolic links are followed before they are judged.
     """
     folder, files, outside = folder.resolve(), {}, []
     for place, value in path_places(raw).items():
+        if CONTROL.search(value) and not os.path.lexists(folder / value):
+            raise XfemnavError("E780", f"{place} names {value!a}, with a tab or another control character. {BACKSLASH}")
         if "\0" in value or Path(value).is_absolute() or not (folder / value).resolve().is_relative_to(folder):
             outside.append(f"{place}: {value!r}")
         files[place] = folder / value

@@ -15,13 +15,15 @@ from typing import Annotated, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator, model_validator
 
 from xfemnav.errors import XfemnavError
+from xfemnav.imaging.content import decoded
 from xfemnav.pipeline.crosscheck import cross_problems
+from xfemnav.pipeline.flags import BACKSLASH
 
 LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
 SHOWN = 50  # problems of a scenario that are told
 # Dotted keys deeper than that; the parser's time grows with the square of their length.
 LONG_KEY = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){32}""")
-
+ESCAPE = re.compile(r"hex value|[Ee]scape")  # in the parser's words
 # Problems that the mechanics has a code for, by their words.
 OWN_CODES = {
     "E404": re.compile(r"^tissue\.\w+.*: input should be (greater|less) than"),
@@ -341,12 +343,16 @@ def read_toml(path: Path) -> dict:
         raise XfemnavError("E780", f"{path.name} holds {path.stat().st_size} bytes; at most {LIMIT_BYTES} are read.")
     too_deep = XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = re.sub(r"\r\n?", "\n", decoded(path.read_bytes()))
+    except ValueError as error:
+        raise XfemnavError("E780", f"{path.name} {error}.") from None
+    try:
         if LONG_KEY.search(text):
             raise too_deep
         raw = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise XfemnavError("E780", f"{path.name} is no TOML: {error}.") from None
+    except tomllib.TOMLDecodeError as error:
+        mend = f" {BACKSLASH}" if ESCAPE.search(str(error)) else ""
+        raise XfemnavError("E780", f"{path.name} is no TOML: {error}.{mend}") from None
     except RecursionError:
         raise too_deep from None
     if _depth(raw) > LIMIT_DEPTH:
