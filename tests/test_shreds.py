@@ -8,6 +8,7 @@ import shapely
 
 from tests.meshes import grid, outline
 from xfemnav.errors import XfemnavWarning
+from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.resection import place_resection
 from xfemnav.geometry.shreds import Elements, without_shreds
 
@@ -31,13 +32,13 @@ def ring_with_gap(gap):
     return np.asarray(part.exterior.coords)[:-1]
 
 
-def taken(*drawn, mesh=MESH, **more):
+def taken(*drawn, mesh=MESH, elements=None, **more):
     """Area that goes with resections, each a tuple of rings, beyond their own, mm2; and what is warned of."""
     placed = tuple(place_resection(rings, outline(mesh), f"r{k}") for k, rings in enumerate(drawn))
     before = shapely.union_all([item.region for item in placed])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", XfemnavWarning)
-        found = without_shreds(placed, outline(mesh), Elements.of(mesh), **{"least_mm2": LEAST} | more)
+        found = without_shreds(placed, outline(mesh), elements or Elements.of(mesh), **{"least_mm2": LEAST} | more)
     after = shapely.union_all([item.region for item in found])
     assert len(found) == len(placed) and shapely.difference(before, after).area < 1e-6
     codes = [item.message.code for item in caught]
@@ -53,6 +54,8 @@ GOES = {  # rings of each resection, the area that goes
     "a shell between two resections": ([(box(4, 8, 11, 16),), (box(11.6, 8, 20, 16),)], 8 * 0.6),
     "enclosed between two": ([(box(5, 5, 12, 19),), AROUND], 5 * 10),
     "a crumb at the surface": ([(np.array([(2.4, -1), (4, -1), (-1, 4), (-1, 2.4)]),)], 1.4**2 / 2),
+    "a corner wider than an element and under the size": (
+        [(np.array([(1.5, -1), (3, -1), (3, 3), (-1, 3), (-1, 1.5), (1.5, 1.5)]),)], 1.5**2),
     "a finger": ([(box(6, 6, 18, 11.7), box(6, 12.3, 18, 18), box(6, 11.7, 8, 12.3))], 10 * 0.6),
 }
 
@@ -71,6 +74,7 @@ STAYS = {
     "held on by more than an element": [(ring_with_gap(1.6),)],
     "a shell wider than an element": [(box(6, 2, 18, 22.5),)],
     "a corner of the organ": [(np.array([(8, -1), (9.5, -1), (-1, 9.5), (-1, 8)]),)],
+    "more than the resection itself": [(box(2, 23.2, 22, 23.5),)],
     "round": [(circle(12, 12, 6),)],
     "sharp": [(np.array([(4, 4), (20, 12), (4, 20), (10, 12)]),)],
 }
@@ -113,3 +117,21 @@ def test_a_coarse_mesh_takes_no_more_than_what_is_thin():
     gone, codes, _ = taken((box(10, 10, 50, 54),), mesh=coarse)
     assert codes == [] and gone.is_empty
     assert taken((box(10, 10, 50, 57),), mesh=coarse)[0].area == pytest.approx(40 * 3, rel=0.08)
+
+
+def test_what_is_thin_without_the_resection_stays():
+    x, y = MESH.corners.mean(axis=1).T
+    bump = (y < 18) | ((y < 20) & (x > 11) & (x < 12)) | ((y > 20) & (x > 9) & (x < 14))  # on a neck of 1 mm
+    gone, codes, _ = taken((box(2, 2, 12, 12), box(12.9, 21.4, 15, 22.6)), mesh=Mesh(MESH.points, MESH.cells[bump]))
+    assert codes == [] and gone.area < 1e-9
+    fin = (y < 18) | ((x > 10) & (x < 11))  # 1 mm wide
+    gone, codes, _ = taken((box(11, 14, 16, 19),), mesh=Mesh(MESH.points, MESH.cells[fin]))
+    assert codes == [] and gone.area < 1e-9
+
+
+def test_elements_are_those_of_the_place():
+    """Shells of 2 mm at the surface, beside elements of 1 mm on the left and of 3 mm on the right."""
+    places = MESH.corners.mean(axis=1)
+    graded = Elements(places, np.where(places[:, 0] < 12, 1.0, 3.0))
+    gone, _, _ = taken((box(2, 10, 9, 22), box(14, 10, 20, 22)), elements=graded)
+    assert gone.bounds[0] > 12 and gone.area == pytest.approx(6 * 2, rel=0.1)

@@ -37,9 +37,12 @@ class Elements:
 
     def beside(self, line) -> np.ndarray:
         """Sizes (k,) of the elements within about one of a geometry; of the nearest where there is none."""
-        off = shapely.distance(line, shapely.points(self.places))
-        near = off <= self.sizes
-        return self.sizes[near] if near.any() else self.sizes[[np.argmin(off)]]
+        low, high = np.reshape(line.bounds, (2, 2)) + self.sizes.max() * np.array([[-1], [1]])
+        boxed = np.flatnonzero(((self.places >= low) & (self.places <= high)).all(axis=1))
+        boxed = boxed if len(boxed) else np.arange(len(self.sizes))
+        off = shapely.distance(line, shapely.points(self.places[boxed]))
+        near = boxed[off <= self.sizes[boxed]]
+        return self.sizes[near if len(near) else boxed[[np.argmin(off)]]]
 
     def widths(self, line) -> list[float]:
         """Sizes of elements along a line, from the largest in steps of LADDER."""
@@ -96,11 +99,11 @@ def _shreds(organ, region, width, elements):
         lost = shapely.difference(shapely.intersection(body, shapely.union_all(open_organ)),
                                   shapely.union_all(opened[stays]))
         for part in _bodies(lost):
-            hangs = _touch(part, cores[~stays]).any()
-            bridge = _touch(part, opened[stays]).sum() > 1
-            small = part.area < CORNER * width**2 or (part.area > region.area and not hangs)
-            local = width < np.sqrt(LADDER) * np.mean(elements.beside(part))
-            if _touch(part, region) and local and not bridge and not small:
+            if part.area < CORNER * width**2 or not _touch(part, region):
+                continue
+            hangs, bridge = _touch(part, cores[~stays]).any(), _touch(part, opened[stays]).sum() > 1
+            large = part.area > region.area and not hangs
+            if not (bridge or large) and width < np.sqrt(LADDER) * np.mean(elements.beside(part)):
                 found.append(shapely.intersection(organ, shapely.buffer(part, SLACK * width, quad_segs=2)))
     return found
 

@@ -97,7 +97,7 @@ def warn_of_left(found: Marked, frame: Slice, region, organ, least_mm2: float) -
         shares = ", ".join(f"{(found.labels[apart] == kind).sum() * pixel:.3g} mm2 of label {kind}" for kind in kinds)
         what = f"{apart.sum() * pixel:.3g} mm2 of {found.name}" + (f" ({shares})" if len(kinds) > 1 else "")
         warn("W208", f"{what} stay: {n_bits} separate bit{'s' * (n_bits > 1)} under {least_mm2:.3g} mm2, the disc of "
-                     "--min-resection-mm.")
+                     "--min-resection-mm, or under two pixels wide.")
     if thin > LOST * mask.sum() * pixel:
         warn("W208", f"{thin:.3g} of {mask.sum() * pixel:.4g} mm2 of {found.name} that are taken out are under two "
                      "pixels wide, and stay.")
