@@ -185,7 +185,7 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         if dry_run:
             return _plan(job.plan(config, options), teller)
         with _signals_raise():
-            told = job.Listener(teller.started, teller.finished, teller.waiting, teller.compiling)
+            told = job.Listener(teller.started, teller.finished, teller.waiting, teller.compiling, teller.failed)
             record = job.run(config, options, told)
     except (XfemnavError, job.Interrupted) as error:
         if as_json:

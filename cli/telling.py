@@ -105,6 +105,11 @@ class Teller:
             for item in record.get("warnings", ()):
                 complain(f"{item['code']} {item['text']}")
 
+    def failed(self, record: dict) -> None:
+        """A run has failed: its warnings, which may say why."""
+        self.stop()
+        self.warnings(record)
+
     def json(self, value: dict) -> None:
         """The one object on stdout."""
         put(json.dumps(value, indent=2, sort_keys=True, allow_nan=False))

@@ -41,12 +41,14 @@ def run():
         "cuts": [{"name": "approach", "path": [[-54.7, 41.5], [-22.0, 18.0]], "length_mm": 40.27}],
         "mesh": {"n_nodes": 5012, "n_cells": 9876, "min_quality": 0.81, "mean_quality": 0.993, "hausdorff_mm": 0.2},
         "enrichment": {"heaviside_nodes": 77, "tip_nodes": 6, "n_dof": 10226},
-        "retractor": [{"cut": "approach", "side": "left", "force_mN_per_mm": [3.0, -4.0], "mean_pressure_kPa": 2.0}],
+        "retractor": [{"cut": "approach", "side": "left", "force_mN_per_mm": [3.0, -4.0], "mean_pressure_kPa": 2.0,
+                       "blade": [0.0, 0.75]}],
         "tips": [{"cut": "approach", "point_mm": [-22.0, 18.0], "K_I_Pa_sqrt_m": 35.36, "K_II_Pa_sqrt_m": -1.25,
                   "radius_mm": 4.0}],
         "checks": {"residual": 1e-12, "inverted_mm2": 0.0, "det_F_p01": 0.97, "largest_strain": 0.09,
                    "min_gap_mm": None, "cavity_mm2": 166.4, "vacated_mm2": 2.0,
                    "overlap_mm2": 0.0, "lip_error_mm": {"rms": 0.004, "max": 0.08}, "max_displacement_mm": 3.64},
+        "verdicts": {"largest_strain": {"value": 0.09, "limit": 0.1, "verdict": "ok"}},
         "warnings": [{"code": "W301", "text": "the cut starts 2.1 mm inside"}],
     }))
 

@@ -22,9 +22,8 @@ COARSE = {"element_size_mm": 8.0, "corridor_element_mm": 4.0, "report": False}
 def opened(tmp_path_factory):
     """The small brain, cut and opened by 4 mm."""
     home = tmp_path_factory.mktemp("result")
-    with pytest.warns(xfemnav.XfemnavWarning, match="W404"):
-        return xfemnav.run(write(home / "head.nii.gz"), cut=CUT, opening_mm=4.0, output=home / "out",
-                           cache=home / "cache", **COARSE)
+    return xfemnav.run(write(home / "head.nii.gz"), cut=CUT, opening_mm=4.0, output=home / "out",
+                       cache=home / "cache", **COARSE)
 
 
 def test_example_of_the_documentation(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Limits beyond which a result deserves a warning, or no trust: one table, read by the checks and by the report.
+"""Limits beyond which a result deserves a look, a warning, or no trust: one table, for the checks and for the report.
 
 Nothing is imported and nothing decided here: a check compares, warns with its code, and says the number and the limit.
 """
@@ -14,12 +14,42 @@ class Limit(NamedTuple):
     of: str
 
 
+RESIDUAL = Limit(1e-8, "", "relative residual of the equations; with more there is no result (E407)")
+
 INVERTED = Limit(1.0, "mm²", "tissue turned inside out; more is not trusted (E401)")
 # Linear strains grow as r^-1/2 at a tip, so a speck of tissue there is inverted at any opening: this much is no news.
 FOLDED_NOTICE = Limit(0.01, "mm²", "tissue turned inside out (W402)")
+
 APART = Limit(0.1, "mm", "distance in the organ between the two frames of a header (W114)")
 # A mesh coarser than this tells nothing of what is thin: wider strips of tissue are real.
 SHRED_WIDTH = Limit(4.0, "mm", "the element's width under which tissue beside a resection goes with it (W210)")
 # Springs of 1e-6 E / mm: what they carry moves by as much again when they are half as stiff.
 SWAY = Limit(0.1, "mm", "motion that hangs on the springs of what only touches the skull (W410)")
 PADDING = Limit(1 << 20, "bytes", "zeros after the voxels of an image, which pass for padding (W136)")
+
+NO_OVERLAP = Limit(0.0, "mm²", "tissue that lies twice (W403)")
+# The outlines of two pieces that touch may both hold a pixel's centre.
+OVERLAP = Limit(2.0, "mm²", "tissue that lies twice, or two pixels where they are larger; more is not trusted (E401)")
+
+SMALL_STRAIN = Limit(0.1, "", "strain that 1 % of the tissue exceeds: small strains are at their end (a look)")
+STRAIN = Limit(0.3, "", "strain that 1 % of the main tissue exceeds: no model here describes it (W406)")
+
+# The linear model takes sin(theta) for the rotation and 1 for cos(theta): tissue of the size L that is turned by theta
+# is blown up and misplaced by L theta^2 / 2. Finite strains have that right.
+TURNING = Limit(1.0, "mm", "misplacement of the main tissue that turns, by small rotations (W407)")
+
+# A brain keeps its area but for a few percent. A linear solution has det F = 1 + tan(theta)^2 where it turns tissue by
+# theta: 2 at 45 degrees. At 3 it would have to turn by more than the sine of any angle: it is no motion of a solid.
+RESIZED_TIMES, TRIPLED_TIMES = 2.0, 3.0
+RESIZED = Limit(10.0, "mm²", "main tissue whose area more than doubles or halves (W407)")
+TRIPLED = Limit(1.0, "mm²", "main tissue whose area more than trebles; more is not trusted (E401)")
+
+# Surfaces shift by up to 20 to 25 mm in the literature.
+MOVED = Limit(20.0, "mm", "largest displacement; more is farther than brains shift (W407)")
+MOVED_AT_ALL = Limit(50.0, "mm", "largest displacement; more is not trusted (E401)")
+STILL = Limit(0.1, "mm", "smallest displacement that is one (W409)")
+
+# 0 to 75 mmHg were measured under retractors, 100 mmHg are 13.3 kPa.
+PRESSURE = Limit(13.332, "kPa", "mean pressure of a blade (W408)")
+SOFTEST = Limit(0.1, "kPa", "smallest Young's modulus of the main tissue that a brain may have (W408)")
+STIFFEST = Limit(100.0, "kPa", "largest Young's modulus of the main tissue that a brain may have (W408)")

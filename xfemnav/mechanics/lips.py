@@ -25,7 +25,7 @@ class Retraction:
 
     Exactly one of `displacement_mm` (dx, dy), `normal_mm` (away from the other lip) and `force_mN_per_mm` (fx, fy)
     spread over the blade. `blade` (from, to): the part of the cut's length that is held, 0 at the mouth; None holds,
-    pointwise, every crossing but the tip cell's.
+    pointwise, every crossing but the tip cell's. `blade_given`: whether the user said so, and is told if it cannot be.
     """
 
     cut: int
@@ -34,6 +34,7 @@ class Retraction:
     normal_mm: float | None = None
     force_mN_per_mm: tuple[float, float] | None = None
     blade: tuple[float, float] | None = (0.0, 0.8)
+    blade_given: bool = True
 
     def __post_init__(self):
         if sum(x is not None for x in (self.displacement_mm, self.normal_mm, self.force_mN_per_mm)) != 1:
@@ -103,7 +104,8 @@ def held_length(space: Space, cut: int, span) -> float:
 
 
 def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tuple[float, float]:
-    """Held part of the lip (from, to) mm from the mouth; shortened to stay two cells short of a tip (W404).
+    """Held part of the lip (from, to) mm from the mouth; shortened to stay two cells short of a tip (W404, of a blade
+    that was given).
 
     Where a resection took the tissue of the cut, the blade holds what is left. Raises XfemnavError E402 when that is
     nothing.
@@ -129,7 +131,8 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
             f"nothing of cut '{cuts[k].name}' ({end:.1f} mm) is left for the blade to hold; use a longer cut "
             "or smaller elements (--corridor-element-mm).",
         )
-    if retraction.blade is not None and max(start - asked[0], asked[1] - stop) > 1e-9:
+    given = retraction.blade is not None and retraction.blade_given
+    if given and max(start - asked[0], asked[1] - stop) > 1e-9:
         warn(
             "W404",
             f"the blade on cut '{cuts[k].name}' came within two elements ({margin:.1f} mm) of a tip and was shortened: "

@@ -17,10 +17,11 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.limits import RESIDUAL
 from xfemnav.mechanics.factor import NotPositiveDefinite, factor
 
 #: Largest relative residual of a solution that is given out.
-RESIDUAL_LIMIT = 1e-8
+RESIDUAL_LIMIT = RESIDUAL.value
 #: A gap this much below zero, mm, is rounding; one that is worse than the limit, for each mm (one at least) by which
 #: what touches moves, is not given out.
 TOUCH_MM, GAP_LIMIT = 1e-10, 1e-9

@@ -16,6 +16,7 @@ from xfemnav.mechanics.fan import graded_triangles
 from xfemnav.mechanics.fracture import FreeTip, free_tips
 from xfemnav.mechanics.hyperelastic import Equilibrium, equilibrium
 from xfemnav.mechanics.lips import lip_quadrature, lip_rows
+from xfemnav.mechanics.measures import SHARE, displacement_gradient, exceeded, principal_size
 from xfemnav.mechanics.minimise import minimise
 from xfemnav.mechanics.nitsche import nitsche_traction
 from xfemnav.mechanics.problem import Problem
@@ -111,11 +112,7 @@ class Solution:
 
         Not the maximum, which a finer mesh raises without end at tips, blades' ends and edges of the bone.
         """
-        mean, half = (self.strain[:, 0] + self.strain[:, 1]) / 2, (self.strain[:, 0] - self.strain[:, 1]) / 2
-        size = np.abs(mean) + np.hypot(half, self.strain[:, 2])
-        order = np.argsort(size)
-        share = np.cumsum(self.rest_areas[order])
-        return float(size[order][np.searchsorted(share, 0.99 * share[-1])])
+        return exceeded(principal_size(self.strain), self.rest_areas, SHARE * self.rest_areas.sum())
 
     @property
     def max_displacement_mm(self) -> float:
@@ -198,11 +195,7 @@ def _triangles(problem, U):
     keep = ~problem.removed[part]
     rest, part = rest[keep], part[keep]
     moved = _moved(problem, rest, part, U)
-    u = moved - rest
-    area = orient(*rest.swapaxes(0, 1))
-    opposite = rest[:, [2, 0, 1]] - rest[:, [1, 2, 0]]
-    gradient = np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1) / area[:, None, None]
-    H = np.einsum("tai,taj->tij", u, gradient)
+    H = displacement_gradient(rest, moved)
     strain = np.stack([H[:, 0, 0], H[:, 1, 1], (H[:, 0, 1] + H[:, 1, 0]) / 2], axis=1)
     if problem.model != "linear":
         strain += np.einsum("tki,tkj->tij", H, H).reshape(-1, 4)[:, [0, 3, 1]] / 2

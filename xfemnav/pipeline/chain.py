@@ -17,7 +17,7 @@ from xfemnav.pipeline.frame_check import frame_doubts
 from xfemnav.pipeline.keys import canonical, digest, file_digest, stage_key
 from xfemnav.pipeline.parameters import ReadParams
 from xfemnav.pipeline.stage import Stage
-from xfemnav.pipeline.stages import CARRY, FIGURE, IMAGING, STAGES
+from xfemnav.pipeline.stages import CARRY, FIGURE, IMAGING, SAFE, STAGES
 
 # --volume and --nan are the image's alone: what to do about another file that would need them.
 REMEDIES = {
@@ -173,6 +173,14 @@ class Chain:
             self.inputs.step = step
             found.append(self._stage(FIGURE, None, self.force_from == ORDER[0]))
         return found
+
+    def safe_part(self) -> float | None:
+        """The largest part of what the blades do at which the whole run is trusted; None when no part is."""
+        step = self.inputs.step
+        try:
+            return self._stage(SAFE, self.config.steps, self._forced("solve")).facts["safe_part"]
+        finally:
+            self.inputs.step = step
 
     def plan(self, until: str = "warp") -> list[tuple[str, str, str | None]]:
         """What a run would do: (stage, 'cached' or 'would run', key where it is known already)."""

@@ -12,6 +12,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.crosscheck import OUTLINE, actors
 from xfemnav.pipeline.flags import FLAG_OF, add_flags, confined, numbers, path_places, printed
 from xfemnav.pipeline.parameters import (
+    BLADE,
     KINDS,
     ArcParams,
     CarryParams,
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from xfemnav.pipeline.scenario import Scenario
 
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
-BLADE = (0.0, 0.8)  # a lip held right up to the tip has infinite energy
 
 NO_CUT = "cut: nothing moves: give a cut (--cut 'x,y x,y ...'), a resection, gravity, or a measured boundary"
 
@@ -121,6 +121,7 @@ def scenario_problems(path: Path) -> list[str]:
 def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]) -> Config:
     tips = s.solve.tip_enrichment or ("topological" if s.solve.model == "linear" else "none")
     s = s.model_copy(update={"solve": s.solve.model_copy(update={"tip_enrichment": tips})})
+    given = tuple(r.blade is not None for r in s.retract)
     s = s.model_copy(update={"retract": tuple(_filled(r, s) for r in s.retract)})
     drawn = Drawn.read(s, files)
     carried = tuple(_carried(s, files))
@@ -134,7 +135,8 @@ def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]
         read=ReadParams(s.volume, s.nan, s.spacing, s.nifti_frame),
         segment=SegmentParams(s.slice.plane, s.slice.index, s.slice.position_mm, s.segment.method, s.segment.skull,
                               s.resample_mask),
-        mesh=_mesh_params(s, drawn), steps=_steps(s, drawn, files.get("boundary.displacement")), solve=SolveParams(),
+        mesh=_mesh_params(s, drawn), steps=_steps(s, drawn, files.get("boundary.displacement"), given),
+        solve=SolveParams(),
         warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill, s.warp.transforms),
         carry=CarryParams(tuple(item for item, _ in carried), s.warp.interp, s.warp.outside, s.warp.fill),
     )
@@ -227,11 +229,11 @@ def _data_ends(s: "Scenario", drawn: Drawn) -> DataEnds | None:
     return DataEnds(_cuts(s, drawn), blades, grip)
 
 
-def _steps(s: "Scenario", drawn: Drawn, measured: Path | None) -> tuple[Step, ...]:
-    """The steps in order; a run without any is one step in which everything acts."""
+def _steps(s: "Scenario", drawn: Drawn, measured: Path | None, given: tuple[bool, ...]) -> tuple[Step, ...]:
+    """The steps in order; a run without any is one step in which everything acts. `given`: whose blade was."""
     every = set(chain.from_iterable(actors(s.model_dump()).values()))
     acting = every - {name for step in s.step for name in step.acts}
-    whole = _constrain_params(s, drawn, measured)
+    whole = _constrain_params(s, drawn, measured, given)
     if not s.step:
         return (Step("", (), (), whole),)
     steps, drawn_after = [], {}
@@ -260,7 +262,7 @@ def _acting(s: "Scenario", whole: ConstrainParams, acting: set[str], drawn_after
     )
 
 
-def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None) -> ConstrainParams:
+def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None, given: tuple[bool, ...]) -> ConstrainParams:
     names, resections = [cut.name for cut in s.cut], [item.name for item in s.resect]
     load, boundary, tissue = s.load, s.boundary, s.tissue
     gravity = load.gravity and GravityParams(load.gravity, load.density_kg_m3, load.fluid_density_kg_m3,
@@ -269,7 +271,7 @@ def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None) -> Con
         cuts=_cuts(s, drawn), later_cuts=(),
         retractions=tuple(
             RetractParams(names.index(r.cut), 1 if r.side == "left" else -1, r.displacement_mm,
-                          r.normal_mm, r.force_mN_per_mm, r.blade) for r in s.retract),
+                          r.normal_mm, r.force_mN_per_mm, r.blade, known) for r, known in zip(s.retract, given)),
         resections=tuple(ResectParams(r.name, points, space, r.labels, i if r.mask is not None else None, None)
                          for i, (r, (points, space)) in enumerate(zip(s.resect, drawn.resections))),
         min_resection_mm=s.min_resection_mm, space=s.space, young_kpa=tissue.young_kpa, poisson=tissue.poisson,

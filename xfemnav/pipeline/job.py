@@ -11,13 +11,14 @@ from pathlib import Path
 
 from xfemnav import __version__
 from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
-from xfemnav.limits import INVERTED
 from xfemnav.pipeline.cache import Cache
-from xfemnav.pipeline.chain import Chain, Done, Warned, page_key
+from xfemnav.pipeline.chain import STEPWISE, Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.disk import writing
 from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
+from xfemnav.pipeline.stage_safe import told
+from xfemnav.pipeline.verdicts import doubts, reasons, stillness, verdicts
 
 
 class Interrupted(BaseException):
@@ -48,6 +49,7 @@ class Listener:
     finished: Callable[[Done], None] = lambda done: None
     waiting: Callable[[], None] = lambda: None
     compiling: Callable[[], None] = lambda: None
+    failed: Callable[[dict], None] = lambda record: None
 
 
 def default_output(image: Path) -> Path:
@@ -100,7 +102,9 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
         try:
             return _run(chain, options, folder, record)
         except BaseException as error:
-            folder.write_failure(_reported(chain, record) | failure(error))
+            record = _reported(chain, record) | failure(error)
+            folder.write_failure(record)
+            listener.failed(record)
             raise
 
 
@@ -112,22 +116,16 @@ def plan(config: Config, options: Options) -> list[tuple[str, str, str | None]]:
         return chain.plan(options.until)
 
 
-def overlap_limit(record) -> float:
-    """Area mm^2 of pixels with two pieces of tissue that is no more than their coarseness: two pixels, or 2 mm^2."""
-    return 2 * max(1.0, math.prod(record["slice"]["spacing"]))
-
-
 def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> dict:
     chain.read_inputs()
     done = chain.run(options.until)
+    faults = _judged(chain)
     if chain.config.strict and chain.warned:
         first = chain.warned[0]
         raise XfemnavError(first.code, f"{first.text} (--strict makes warnings errors)")
     record = _reported(chain, record) | {"status": "complete", "exit_code": 0}
-    faults = [fault for k in range(len(chain.config.steps)) if (fault := _fault(chain, k, record))]
     if faults:
-        text = f"{'; '.join(faults)}. The results are written, and marked untrusted (exit 3)."
-        record |= {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
+        record |= _untrusted(chain, faults)
     files = {}
     for label, item in done.items():
         _collect(files, chain.config, label, item)
@@ -142,20 +140,37 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
     return record
 
 
-def _fault(chain: Chain, k: int, record: dict) -> str | None:
-    """Why a step is not to be trusted; None when it is, or has not come so far."""
-    step, facts = chain.config.steps[k], {}
-    for stage in ("solve", "warp"):
-        if done := chain.inputs.done.get(chain.inputs.label(stage, k)):
-            facts |= done.facts | {"checks": facts.get("checks", {}) | done.facts["checks"]}
-    checks, where = facts.get("checks", {}), f"in step '{step.name}' " if step.name else ""
-    if checks.get("inverted_mm2", 0) > INVERTED.value:
-        return (f"{where}the retraction folds the tissue: {checks['inverted_mm2']:.2f} mm2 are inverted, over "
-                f"{INVERTED.value:g} mm2. The largest safe opening is {facts['safe_fraction']:.3f} of this one")
-    if checks.get("overlap_mm2", 0) > overlap_limit(record):
-        return (f"{where}{checks['overlap_mm2']:.1f} mm2 of tissue lie twice: lips, or walls of a resection, have "
-                "moved through each other. Swap left and right if they are swapped, hold both lips, or load less")
-    return None
+def _judged(chain: Chain) -> list[str]:
+    """Why the run is not to be trusted; what else its numbers give rise to is added to the chain's warnings."""
+    found = _solved(chain)
+    for name, facts, judged in found:
+        chain.warned += [Warned(*doubt) for doubt in doubts(name, judged, facts["checks"], facts["model"]["name"])]
+    if len(found) == len(chain.config.steps):
+        taken = any(facts["resections"] for _, facts, _ in found)
+        chain.warned += [Warned(*doubt) for doubt in stillness([facts["checks"] for _, facts, _ in found], taken)]
+    return [reason for name, _, judged in found for reason in reasons(name, judged)]
+
+
+def _solved(chain: Chain) -> list[tuple[str, dict, dict]]:
+    """Each step that has come so far: its name, all that its own stages reported, and the verdicts on that."""
+    found = []
+    for k, step in enumerate(chain.config.steps):
+        facts: dict = {}
+        for stage in STEPWISE:
+            if done := chain.inputs.done.get(chain.inputs.label(stage, k)):
+                _gather(facts, done.facts)
+        if "checks" in facts:
+            pixel = math.prod(chain.inputs.done["segment"].facts["slice"]["spacing"])
+            found.append((step.name, facts, verdicts(facts, pixel)))
+    return found
+
+
+def _untrusted(chain: Chain, faults: list[str]) -> dict:
+    """Status and error of a run that is not to be trusted, with the part of it that would be."""
+    blades = chain.config.parameters["retract"]
+    safe = told(chain.safe_part(), chain.config.parameters) if blades else "No blade acts, so none can do less."
+    text = f"{'; '.join(faults)}. {safe} The results are written, and marked untrusted (exit 3)."
+    return {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
 
 
 #: Files of the steps before the last that are published.
@@ -197,20 +212,22 @@ def _reported(chain: Chain, record: dict) -> dict:
     for label, done in chain.inputs.done.items():
         _, _, step = label.partition(":")
         _gather(steps.setdefault(int(step), {}) if step else found, done.facts)
+    for facts in (found, *steps.values()):
+        if "checks" in facts:
+            facts["verdicts"] = verdicts(facts, math.prod(found["slice"]["spacing"]))
     if len(chain.config.steps) > 1:
         found["steps"] = [_step_record(step, steps.get(k, found)) for k, step in enumerate(chain.config.steps)]
-    return record | found
+    return {name: fact for name, fact in (record | found).items() if name != "places"}  # the verdicts hold them
 
 
 def _gather(found: dict, facts: dict) -> None:
     """Add what a stage reported; tables of the same name are joined."""
     for name, fact in facts.items():
-        if name != "safe_fraction":
-            found[name] = found.get(name, {}) | fact if isinstance(fact, dict) else fact
+        found[name] = found.get(name, {}) | fact if isinstance(fact, dict) else fact
 
 
 #: What the record says of each step.
-STEP_FACTS = ("cuts", "resections", "pieces", "retractor", "checks")
+STEP_FACTS = ("cuts", "resections", "pieces", "retractor", "checks", "verdicts")
 
 
 def _step_record(step, facts: dict) -> dict:

@@ -48,7 +48,7 @@ def methods_paragraph(run: dict) -> str:
         _software(run), _mesh(run), *map(_cut, run["cuts"]), *(_resection(each, asked) for each in run["resections"]),
         _enrichment(run),
         _tissue(asked), *_labels(asked), _outline(asked), *_loads(asked),
-        *(_retraction(each, asked) for each in asked["retract"]), _lips(asked), _model(run), _steps(run), _outcome(run),
+        *(_retraction(each, run) for each in asked["retract"]), _lips(asked), _model(run), _steps(run), _outcome(run),
         _image(asked), _carried(asked),
     ]
     return " ".join(filter(None, sentences))
@@ -163,16 +163,20 @@ def _outline(asked):
     return f"{SKULLS[boundary['skull']]} except within {boundary['craniotomy_mm']:g} mm of the cut's mouth{ramp}."
 
 
-def _retraction(retract, asked):
-    lip = f"The {retract['side']} lip" + (f" of '{retract['cut']}'" if len(asked["cut"]) > 1 else "")
+def _retraction(retract, run):
+    several = len(run["parameters"]["cut"]) > 1
+    lip = f"The {retract['side']} lip" + (f" of '{retract['cut']}'" if several else "")
     if retract["displacement_mm"] is not None:
         what = "was displaced by ({:g}, {:g}) mm".format(*retract["displacement_mm"])
     elif retract["normal_mm"] is not None:
         what = f"was displaced by {retract['normal_mm']:g} mm away from the other lip"
     else:
         what = "was loaded with ({:g}, {:g}) mN per mm of thickness".format(*retract["force_mN_per_mm"])
+    found = [row["blade"] for row in run["retractor"] if (row["cut"], row["side"]) == (retract["cut"], retract["side"])]
     blade = retract["blade"]
-    held = f" over {100 * blade[0]:g} to {100 * blade[1]:g} % of the cut's length from its mouth" if blade else ""
+    if blade and len(found) == 1:
+        blade = found[0]  # it ends before a tip, whatever was asked
+    held = f" over {100 * blade[0]:.3g} to {100 * blade[1]:.3g} % of the cut's length from its mouth" if blade else ""
     return f"{lip} {what}{held}."
 
 

@@ -5,6 +5,8 @@ A stage's key holds exactly its dataclass, so a parameter stands in the stage th
 
 from dataclasses import dataclass
 
+#: The part of a cut that a blade holds unless it is said: a lip held right up to the tip has infinite energy.
+BLADE = (0.0, 0.8)
 #: Kind of a label's tissue: Young's modulus over the parenchyma's, and Poisson's ratio (None: the parenchyma's).
 KINDS = {"parenchyma": (1.0, None), "tumour": (3.0, None), "ventricle": (1 / 30, 0.1), "cavity": (1e-6, 0.0)}
 
@@ -126,6 +128,7 @@ class RetractParams:
     normal_mm: float | None
     force_mN_per_mm: tuple[float, float] | None
     blade: tuple[float, float] | None
+    blade_given: bool
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from xfemnav.errors import FAULTS
 from xfemnav.pipeline.disk import write_atomic
 from xfemnav.pipeline.methods import CITATIONS, methods_paragraph
+from xfemnav.pipeline.verdicts import MMHG_PER_KPA
 
-MMHG_PER_KPA = 7.50062
 VERDICTS = {
     "complete": "Complete",
     "untrusted": "NOT TO BE TRUSTED. Use these results to find out why, and for nothing else.",
@@ -24,14 +24,21 @@ CHECKS = {  # name in run.json: (what it is, unit)
     "residual": ("relative residual of the linear system", ""),
     "lip_error_mm": ("difference between the held lips and what was prescribed", "mm"),
     "max_displacement_mm": ("largest displacement", "mm"),
-    "inverted_mm2": ("tissue turned inside out (0 wanted; more than 1 is not trusted)", "mm²"),
+    "inverted_mm2": ("tissue turned inside out (0 wanted)", "mm²"),
     "det_F_p01": ("local change of area, 1 % quantile (1 is none, below 0 is inside out)", ""),
-    "largest_strain": ("strain that 1 % of the tissue exceeds (the linear model is for small ones, to about 0.1)", ""),
+    "largest_strain": ("strain that 1 % of the tissue exceeds", ""),
+    "main_strain": ("the same of the main tissue, without what is far softer", ""),
+    "turning_mm": ("misplacement of tissue that turns, by small rotations", "mm"),
+    "resized_mm2": ("tissue whose area more than doubles or halves", "mm²"),
+    "tripled_mm2": ("tissue whose area more than trebles", "mm²"),
     "min_gap_mm": ("smallest gap between lips, or outline and skull (0: they touch; below: an error)", "mm"),
     "cavity_mm2": ("cavity: pixels inside the moved outline that hold no tissue", "mm²"),
     "vacated_mm2": ("vacated: pixels that the outline has drawn back from", "mm²"),
     "overlap_mm2": ("overlap: pixels that hold tissue twice (0 wanted)", "mm²"),
+    "blade_pressure_kPa": ("largest mean pressure of a blade", "kPa"),
+    "main_young_kpa": ("Young's modulus of the main tissue", "kPa"),
 }
+WORDS = {"ok": "ok", "look": "look at it", "untrusted": "not trusted"}
 
 
 def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
@@ -63,8 +70,7 @@ def render(run: dict, figures: dict[str, bytes]) -> str:
         points=run.get("points", ()),
         command=shlex.join(run["argv"]),
         stages=run["stages"],
-        checks=[(what, unit, shown(run["checks"][name])) for name, (what, unit) in CHECKS.items()
-                if run["checks"][name] is not None],
+        checks=[check_row(name, run) for name in CHECKS if run["checks"].get(name) is not None],
         warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
         retractors=[retractor_row(each) for each in run["retractor"]],
         tips=[tip_row(each) for each in run["tips"]],
@@ -81,13 +87,23 @@ def _embedded(png: bytes | None) -> str | None:
     return base64.b64encode(png).decode() if png else None
 
 
+def check_row(name: str, run: dict) -> dict:
+    """A row of the table of checks: what it is, value, limit and verdict ("" for a check that has none)."""
+    what, unit = CHECKS[name]
+    judged = run["verdicts"].get(name)
+    limit, verdict = (shown(float(judged["limit"])), judged["verdict"]) if judged else ("", "")
+    return {"what": what, "unit": unit, "value": shown(run["checks"][name]), "limit": limit, "verdict": verdict,
+            "word": WORDS.get(verdict, "")}
+
+
 def step_row(step: dict, figure: str | None) -> dict:
     """What the page says of a step: what began and ended, its key figures, and its picture unless it is the last."""
-    checks = step["checks"]
+    checks, judged = step["checks"], {item["verdict"] for item in step["verdicts"].values()}
+    worst = next(verdict for verdict in ("untrusted", "look", "ok") if verdict in judged)
     return {
         "name": step["name"], "acts": ", ".join(step["acts"]) or "-", "ends": ", ".join(step["ends"]) or "-",
         "moved": f"{checks['max_displacement_mm']:.2f}", "cavity": f"{checks['cavity_mm2']:.0f}",
-        "inverted": f"{checks['inverted_mm2']:.2f}", "figure": figure,
+        "inverted": f"{checks['inverted_mm2']:.2f}", "verdict": worst, "word": WORDS[worst], "figure": figure,
     }
 
 

@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from xfemnav.errors import XfemnavError, warn
-from xfemnav.pipeline.config import BLADE, configure
+from xfemnav.pipeline.config import configure
 from xfemnav.pipeline.flags import numbers
 from xfemnav.pipeline.kernels import settle_kernel_cache
+from xfemnav.pipeline.parameters import BLADE
 from xfemnav.pipeline.result import SIDES, side_number
 
 NAME = "cut"
@@ -80,16 +81,18 @@ class Session:
         self._refuse_uncut()
         self.cut(np.vstack([self._drawn, self._rows(point)]))
 
-    def open(self, left=None, right=None, *, blade: tuple[float, float] = BLADE) -> None:
+    def open(self, left=None, right=None, *, blade: tuple[float, float] | None = None) -> None:
         """Move the lips: (dx, dy) plane mm, or one number, mm away from the other lip; None leaves a lip to itself.
 
-        Each blade holds the part `blade` of the cut, from the mouth. Raises E402, E403 and E405 as a run, and E407
-        where tissue beside the cut is so stiff that it wants a run.
+        Each blade holds the part `blade` of the cut, from the mouth; 0 to .8 of it, or as much as stays two elements
+        from the tip, unless it is given. Raises E402, E403 and E405 as a run, and E407 where tissue beside the cut is
+        so stiff that it wants a run.
         """
         self._refuse_uncut()
         moves = {side: _move(move) for side, move in ((1, left), (-1, right)) if move is not None}
-        self._move(moves, tuple(blade), at_once=False)
-        self._asked = moves, tuple(blade)
+        asked = moves, None if blade is None else tuple(blade)
+        self._move(*asked, at_once=False)
+        self._asked = asked
 
     def displacement(self, points, side=None) -> np.ndarray:
         """Displacement, mm, of the tissue that was at `points`."""
@@ -174,9 +177,9 @@ class Session:
                                        "end inside, or make a run of it.") from None
         self._incision, self._soup = incision, Soup(self._organ, incision)
         self._modes, self._drawn = {}, self._rows(path)
-        self._move(*(self._asked or ({}, BLADE)), at_once=True)
+        self._move(*(self._asked or ({}, None)), at_once=True)
 
-    def _move(self, moves: dict, blade: tuple[float, float], at_once: bool) -> None:
+    def _move(self, moves: dict, blade: tuple[float, float] | None, at_once: bool) -> None:
         """Put the lips where `moves` says; `at_once` for a cut that has not been opened yet: its modes come later."""
         from xfemnav.mechanics.live_motion import LiveMotion
 
@@ -207,7 +210,8 @@ class Session:
 
         key = sides, blade
         if key not in self._modes:
-            held = tuple(Retraction(0, side, normal_mm=1.0, blade=blade) for side in sides)
+            held = tuple(Retraction(0, side, normal_mm=1.0, blade=blade or BLADE, blade_given=blade is not None)
+                         for side in sides)
             settings = self._settings
             self._modes[key] = lip_modes(self._incision, held, settings.lip_constraint, settings.hold_tip)
         return self._modes[key]

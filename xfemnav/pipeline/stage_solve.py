@@ -1,6 +1,6 @@
 """The stage solve: a boundary value problem becomes deformed triangles."""
 
-from xfemnav.limits import FOLDED_NOTICE, INVERTED
+from xfemnav.limits import FOLDED_NOTICE
 
 SIDES = (("left", 1), ("right", -1))
 
@@ -20,11 +20,16 @@ def compute(params, inputs):
 
 def facts(value, inputs):
     """What run.json says of the stage."""
-    names = [cut.name for cut in inputs.value("constrain").cuts]
+    from xfemnav.mechanics.measures import measure
+
+    problem = inputs.value("constrain")
+    names, measured = [cut.name for cut in problem.cuts], measure(problem, value)
+    turning = measured.turning
     return {
         "retractor": [{"cut": names[force.cut], "side": "left" if force.side > 0 else "right",
-                       "force_mN_per_mm": list(force.force_mN_per_mm), "mean_pressure_kPa": force.mean_pressure_kPa}
-                      for force in value.retractor],
+                       "force_mN_per_mm": list(force.force_mN_per_mm), "mean_pressure_kPa": force.mean_pressure_kPa,
+                       "blade": _held(problem, force.cut, span)}
+                      for force, span in zip(value.retractor, problem.spans)],
         "tips": [{"cut": names[tip.cut], "point_mm": list(tip.point_mm), "K_I_Pa_sqrt_m": tip.K_I_Pa_sqrt_m,
                   "K_II_Pa_sqrt_m": tip.K_II_Pa_sqrt_m, "radius_mm": tip.radius_mm} for tip in value.tips],
         "contact": [{"where": names[each.cut] if each.cut >= 0 else "skull", "length_mm": each.length_mm,
@@ -33,7 +38,6 @@ def facts(value, inputs):
                   "linear_difference_mm": value.linear_difference_mm},
         "energy_uJ_per_mm": value.energy,
         "matrix": {"nnz": value.nnz, "added_nnz": value.added_nnz, "memory_kB": value.matrix_kB},
-        "safe_fraction": safe_fraction(value.rest, value.moved) if value.inverted_mm2 > INVERTED.value else 1.0,
         "checks": {
             "residual": value.residual,
             "inverted_mm2": value.inverted_mm2,
@@ -42,7 +46,16 @@ def facts(value, inputs):
             "min_gap_mm": value.min_gap_mm,
             "lip_error_mm": {"rms": value.lip_error_rms_mm, "max": value.lip_error_max_mm},
             "max_displacement_mm": value.max_displacement_mm,
+            "main_strain": measured.main_strain,
+            "turning_mm": turning and turning.error_mm,
+            "turned_deg": turning and turning.degrees,
+            "turned_mm2": turning and turning.area_mm2,
+            "resized_mm2": measured.resized_mm2,
+            "tripled_mm2": measured.tripled_mm2,
+            "blade_pressure_kPa": max((abs(force.mean_pressure_kPa) for force in value.retractor), default=None),
+            "main_young_kpa": measured.main_young_kpa,
         },
+        "places": {name: list(place) for name, place in measured.places.items()},
     }
 
 
@@ -54,17 +67,9 @@ def inverted_area(rest, moved) -> float:
     return float(before[before * after < 0].sum())
 
 
-def safe_fraction(rest, moved) -> float:
-    """Largest part, in thousandths, of all displacements that folds no more tissue than the limit.
-
-    The problem is linear, so a part of the data moves every corner by that part. Rounded down.
-    """
-    low, high = 0, 1000
-    while high - low > 1:
-        middle = (low + high) // 2
-        folded = inverted_area(rest, rest + middle / 1000 * (moved - rest))
-        low, high = (middle, high) if folded <= INVERTED.value else (low, middle)
-    return low / 1000
+def _held(problem, cut, span):
+    """The part of a cut that a blade holds, from the mouth: what was asked, but for what is too near to a tip."""
+    return [round(min(float(end) / problem.cuts[cut].length, 1.0), 6) for end in span]
 
 
 def publish(value, inputs, folder):

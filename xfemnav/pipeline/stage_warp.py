@@ -25,23 +25,29 @@ def compute(params, inputs):
     return updated
 
 
-def _twice(value, inputs):
-    """Pixels (n1, n2) bool with tissue of two places in them, but for slivers between lips that touch."""
+def lying_twice(overlap, slice, problem, solution):
+    """Those pixels (n1, n2) bool of an `overlap` that hold tissue of two places, not slivers between lips that touch.
+    """
     import numpy as np
     import shapely
 
     from xfemnav.geometry.affine_map import PiecewiseAffineMap
 
-    twice = np.array(value.overlap)
-    problem, solution = inputs.value("constrain"), inputs.value("solve")
+    twice = np.array(overlap)
     if not twice.any() or not problem.cuts:
         return twice
     motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
     found = [motion.lip_now(k, side) for k in range(len(problem.cuts)) for side in (1, -1)]
     lips = shapely.MultiLineString([points for points in found if len(points) > 1])
-    centres = shapely.points(inputs.value("segment")[0].pixel_centres()[twice])
+    centres = shapely.points(slice.pixel_centres()[twice])
     twice[twice] = shapely.distance(centres, lips) > SLIVER_MM
     return twice
+
+
+def _twice(value, inputs):
+    """Pixels (n1, n2) bool of an Update with tissue of two places in them."""
+    slice, _ = inputs.value("segment")
+    return lying_twice(value.overlap, slice, inputs.value("constrain"), inputs.value("solve"))
 
 
 def facts(value, inputs):

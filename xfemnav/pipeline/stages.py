@@ -5,6 +5,7 @@ from xfemnav.pipeline import (
     stage_constrain,
     stage_figure,
     stage_mesh,
+    stage_safe,
     stage_segment,
     stage_solve,
     stage_warp,
@@ -33,3 +34,5 @@ CARRY = Stage("carry", PHYSICS, IMAGING, ("segment", "mesh", "constrain", "solve
               ("companion", "points", "streamlines"), stage_carry, stage_carry.line)
 FIGURE = Stage("figure", ("pipeline",), (*IMAGING, "matplotlib"), ("segment", "constrain", "solve", "warp"), (),
                stage_figure, lambda f: "")
+SAFE = Stage("safe", ("pipeline",), (*ALL, CHOLMOD), ("segment", "mesh"), ("labels", "resection"), stage_safe,
+             lambda f: "")
