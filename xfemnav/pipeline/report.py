@@ -29,6 +29,8 @@ CHECKS = {  # name in run.json: (what it is, unit)
     "largest_strain": ("strain that 1 % of the tissue exceeds", ""),
     "main_strain": ("the same of the main tissue, without what is far softer", ""),
     "turning_mm": ("misplacement of tissue that turns, by small rotations", "mm"),
+    "turned_deg": ("the angle by which that tissue turns, or more", "degrees"),
+    "turned_mm2": ("the area of that tissue", "mm²"),
     "resized_mm2": ("tissue whose area more than doubles or halves", "mm²"),
     "tripled_mm2": ("tissue whose area more than trebles", "mm²"),
     "min_gap_mm": ("smallest gap between lips, or outline and skull (0: they touch; below: an error)", "mm"),
