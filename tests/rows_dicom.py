@@ -9,16 +9,8 @@ from rows import Row
 from tests.images import image_of
 from tests.motions import GRID, slice_in
 from tests.test_dicom import write_series
-from tests.test_dicom_kinds import (
-    AFFINE,
-    BOMBS,
-    TWELVE,
-    by_itk,
-    compressed,
-    deflated,
-    enhanced,
-    one,
-)
+from tests.test_dicom_bounds import BOMBS, deflated
+from tests.test_dicom_kinds import AFFINE, TWELVE, by_itk, compressed, enhanced, one
 from tests.test_transform import room_for
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.reading import read_image

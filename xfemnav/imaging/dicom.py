@@ -92,6 +92,7 @@ def read_plane(path: Path, data: bytes, room: int) -> Plane | None:
                  _pixel_bytes(elements, data, name))
 
 
+@np.errstate(all="ignore")  # what overflows is infinite, and told as such
 def pixels(plane: Plane) -> np.ndarray:
     """Values (columns, rows) of a slice, slope and intercept applied. Raises E101.
 

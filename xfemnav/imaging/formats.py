@@ -57,6 +57,7 @@ def voxels(header: Header, data) -> np.ndarray:
     return np.moveaxis(flat.reshape(lengths, order="F"), header.last_axis, -1)
 
 
+@np.errstate(all="ignore")  # what overflows is refused by its result
 def is_usable(affine: np.ndarray) -> bool:
     """Whether `affine` (4, 4) gives every voxel a position in mm and back."""
     sizes = np.linalg.norm(affine[:3, :3], axis=0)

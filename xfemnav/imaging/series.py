@@ -32,6 +32,7 @@ class Series(NamedTuple):
     voxels: Callable
 
 
+@np.errstate(all="ignore")  # what overflows is refused by its result
 def read_series(folder: Path, files: dict[str, bytes], limit: int) -> Series:
     """The one series of a folder whose `files` hold these bytes, or none where they are no DICOM.
 
@@ -135,6 +136,7 @@ def _check_steps(folder: Path, positions: np.ndarray, along: np.ndarray) -> None
         raise _no_volume(folder, "has slices that are shifted sideways or unevenly")
 
 
+@np.errstate(all="ignore")
 def _frame(folder: Path, planes: list[dicom.Plane]) -> tuple[np.ndarray, int]:
     """Affine (4, 4) voxel -> RAS mm, and its code: 1, or 0 for a single slice that states no position. Raises E110."""
     first, last, name = planes[0], planes[-1], folder.name
@@ -145,7 +147,7 @@ def _frame(folder: Path, planes: list[dicom.Plane]) -> tuple[np.ndarray, int]:
                                    "sizes: --spacing 0.9,0.9,2.")
     stated = first.position is not None and first.turn is not None
     turn = first.turn if stated else np.eye(3)[:2]
-    if abs(turn @ turn.T - np.eye(2)).max() > SKEW:
+    if not abs(turn @ turn.T - np.eye(2)).max() <= SKEW:  # nor NaN
         raise XfemnavError("E110", f"{name} has an ImageOrientationPatient of {turn.ravel().round(4).tolist()}, which "
                                    "are no two perpendicular unit vectors. Export it again.")
     affine = np.eye(4)
