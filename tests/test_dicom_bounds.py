@@ -22,6 +22,7 @@ from pydicom.uid import (
 from tests.images import image_of
 from tests.test_dicom import code_of, write_series
 from tests.test_dicom_kinds import AFFINE, RNG, TWELVE, compressed, one
+from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import Forwards
 from xfemnav.imaging.reading import read_image
 
@@ -68,6 +69,20 @@ def test_a_deflate_bomb_is_refused_within_the_memory_limit(tmp_path, bomb):
     try:
         assert code_of(folder, max_memory_gb=0.02) == "E102"
         assert tracemalloc.get_traced_memory()[1] < 0.03e9
+    finally:
+        tracemalloc.stop()
+
+
+def test_what_lies_before_the_pixels_is_not_kept(tmp_path):
+    """60 MB of a private element, within the limit: a sound file of much that nobody reads."""
+    folder, path = one(TWELVE, tmp_path / "s", syntax=DeflatedExplicitVRLittleEndian)
+    deflated(path, BOMBS["a private element"])
+    with pytest.raises(XfemnavError, match="E110"):  # it says nothing of its places
+        read_image(folder)
+    tracemalloc.start()
+    try:
+        assert not read_image(folder, spacing=(1, 1, 1)).values.any()
+        assert tracemalloc.get_traced_memory()[1] < 0.02e9
     finally:
         tracemalloc.stop()
 
@@ -167,14 +182,32 @@ def test_closed_stderr_stays_closed(tmp_path):
     assert float(done.stdout) == TWELVE.sum()
 
 
-@pytest.mark.parametrize("syntax", [RLELossless, JPEGLosslessSV1, JPEG2000Lossless])
-def test_a_stream_of_another_size_than_the_header_is_not_decoded(tmp_path, syntax):
+@pytest.mark.parametrize("syntax, where", [(JPEGLosslessSV1, b"\xff\xc3\0\x0b\x10"), (JPEG2000Lossless, b"\xff\x51")])
+def test_a_stream_that_claims_another_size_than_the_header_is_not_decoded(tmp_path, syntax, where):
+    """60000 x 60000: a decoder would make room for them."""
     folder, path = one(TWELVE, tmp_path / "s")
     compressed(path, syntax)
+    content = path.read_bytes()
+    place = content.index(where) + (5 if syntax == JPEGLosslessSV1 else 6)
+    size = struct.pack(">2H" if syntax == JPEGLosslessSV1 else ">2I", 60000, 60000)
+    path.write_bytes(content[:place] + size + content[place + len(size) :])
+    with pytest.raises(XfemnavError, match=r"E101 .*60000 x 60000 pixels of 16 bits in the stream, 24 x 20"):
+        read_image(folder)
+
+
+def test_runs_without_end_are_cut_at_the_pixels_of_the_header(tmp_path):
+    folder, path = one(TWELVE, tmp_path / "s")
+    compressed(path, RLELossless)
     plane = pydicom.dcmread(path)
-    plane.Rows = 40
+    segment = b"\x81\x07" * 500_000  # 64 MB each
+    plane.PixelData = encapsulate([struct.pack("<16I", 2, 64, 64 + len(segment), *[0] * 13) + 2 * segment])
     plane.save_as(path)
-    assert code_of(folder) == "E101"
+    tracemalloc.start()
+    try:
+        assert (read_image(folder).values == 0x0707).all()
+        assert tracemalloc.get_traced_memory()[1] < 0.02e9
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("syntax", [ExplicitVRLittleEndian, RLELossless])
