@@ -89,13 +89,19 @@ MECHANICS = (
 WARP = (
     click.option("--interp", type=_choice("linear", "cubic", "nearest"), help="Interpolation.  [linear]"),
     click.option("--outside", type=_choice("keep", "zero"), help="Pixels outside the organ.  [keep]"),
-    click.option("--fill", type=float, metavar="VALUE", help="Value of cavity pixels.  [0]"),
+    click.option("--fill", type=float, metavar="VALUE", help="Value of pixels without tissue.  [the background's]"),
     click.option("--transforms", type=_choice("none", "itk", "all"),
                  help="The motion for other programs: one ITK transform, or every form and direction.  [itk]"),
 )
 CARRIED = (
     click.option("--companion", multiple=True, metavar="[KIND=]FILE",
-                 help="Another image to carry along: KIND continuous, label, vector or tensor; repeat.  [continuous]"),
+                 help="Another image to carry along: KIND continuous, label, vector, axis or tensor; repeat.  "
+                      "[label or continuous, by name, header and data]"),
+    click.option("--axes", type=_choice("file", "world", "image", "index"),
+                 help="Axes of vectors and tensors of --companion: as the file says, RAS (LPS in formats that are), "
+                      "FSL's, the array's.  [file]"),
+    click.option("--tensor-order", type=_choice("fsl", "mrtrix", "nifti"),
+                 help="Order of a tensor's components.  [as the file states, else fsl]"),
     click.option("--points", multiple=True, type=FILE, metavar="FILE",
                  help="Landmarks to move: .mrk.json, .fcsv, .csv, .tag; repeat."),
     click.option("--streamlines", multiple=True, type=FILE, metavar="FILE", help="Tractogram to move: .trk, .tck."),

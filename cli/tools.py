@@ -46,15 +46,17 @@ def schema(which):
 @click.argument("folder", metavar="RUN", type=FILE)
 @click.argument("files", metavar="FILE...", type=FILE, nargs=-1, required=True)
 @click.option("-o", "--output", type=FILE, metavar="DIR", default=Path(), help="Where to write.  [the current folder]")
-@click.option("--kind", type=click.Choice(["continuous", "label", "vector", "tensor"]),
-              help="What the values of images are.  [continuous, for one value a voxel]")
+@click.option("--kind", type=click.Choice(["continuous", "label", "vector", "axis", "tensor"]),
+              help="What the values of images are.  [label or continuous, by name, header and data]")
 @click.option("--interp", type=click.Choice(["linear", "cubic", "nearest"]), default="linear", show_default=True,
               help="Interpolation of images; labels are always nearest.")
-@click.option("--axes", type=click.Choice(["world", "image"]), default="world", show_default=True,
-              help="Axes of vectors and tensors: RAS (LPS where NIfTI says so), or FSL's.")
+@click.option("--axes", type=click.Choice(["file", "world", "image", "index"]), default="file", show_default=True,
+              help="Axes of vectors and tensors: as the file says, RAS (LPS in formats that are), FSL's, the array's.")
+@click.option("--tensor-order", "order", type=click.Choice(["fsl", "mrtrix", "nifti"]),
+              help="Order of a tensor's components.  [as the file states, else fsl]")
 @click.option("--outside", type=click.Choice(["keep", "zero"]), default="keep", show_default=True,
               help="Pixels outside the organ.")
-@click.option("--fill", type=float, metavar="VALUE", default=0.0, help="Value of cavity pixels.  [0]")
+@click.option("--fill", type=float, metavar="VALUE", help="Value of pixels without tissue.  [the background's]")
 @click.option("--nifti-frame", type=click.Choice(["auto", "sform", "qform"]),
               help="Which frame of a NIfTI header with two is taken.  [that of the run]")
 @click.option("--side", type=click.Choice(["left", "right"]), help="The lip for points on a cut.  [both]")

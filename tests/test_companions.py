@@ -11,6 +11,8 @@ from data_synthetic.phantom import MOTIONS, OPEN, TIP, Grid, Phantom, perfect_so
 from tests.images import ORDERS, affine_of, image_of, stored
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.imaging.companions import carry
+from xfemnav.imaging.formats import NOT_SAID
+from xfemnav.imaging.nifti import VECTORS
 from xfemnav.imaging.reading import Components, Image
 from xfemnav.imaging.slices import take_slice
 from xfemnav.imaging.warp import covered, pull_back, update
@@ -58,7 +60,7 @@ class Scene:
 SCENE, TURNED = Scene(), Scene("rigid")
 
 
-def volume_of(function, spacing=3.0, linear=STRAIGHT, half=(110, 120, 40), nc=None, intent=0):
+def volume_of(function, spacing=3.0, linear=STRAIGHT, half=(110, 120, 40), nc=None, intent=0, vectors=None):
     """A volume about the origin with a slanted grid, of a function of world points (n, 3)."""
     linear = linear * spacing
     shape = tuple(int(2 * h / spacing) for h in half)
@@ -67,7 +69,8 @@ def volume_of(function, spacing=3.0, linear=STRAIGHT, half=(110, 120, 40), nc=No
     values = function(voxels @ linear.T + affine[:3, 3])
     if nc is None:
         return image_of(values.reshape(shape), affine)
-    return Components(values.reshape(*shape, nc), affine, intent, "float32", "", "field.nii.gz")
+    vectors = VECTORS.get(intent, NOT_SAID) if vectors is None else vectors
+    return Components(values.reshape(*shape, nc), affine, intent, "float32", "", "field.nii.gz", vectors=vectors)
 
 
 @pytest.mark.parametrize("plane", ["axial", "coronal"])
@@ -167,7 +170,8 @@ def gradients_at(scene, motion):
     return F
 
 
-WAYS = [(0, "world", np.eye(3)), (1006, "world", np.eye(3)), (1007, "world", np.diag([-1.0, -1, 1]))]
+WAYS = [(0, "world", np.eye(3)), (1006, "file", np.eye(3)), (1006, "world", np.eye(3)),
+        (1007, "file", np.diag([-1.0, -1, 1])), (1007, "world", np.diag([-1.0, -1, 1]))]
 
 
 @pytest.mark.parametrize("intent, axes, signs", WAYS)
@@ -197,7 +201,7 @@ def test_in_a_coronal_slice_the_frame_of_a_file_matters(intent):
     """There LPS and RAS see opposite turns, where they agree on an axial one."""
     scene, vector, signs = Scene("rigid", "coronal"), np.array([0.6, -0.3, 0.5]), [-1, -1, 1] if intent else [1, 1, 1]
     field = volume_of(lambda x: np.tile(vector * signs, (len(x), 1)), 4.0, half=(110, 120, 120), nc=3, intent=intent)
-    values = scene.on_pixels(carry(field, scene.frame, scene.update, kind="vector"))
+    values = scene.on_pixels(carry(field, scene.frame, scene.update, kind="vector", axes="world"))
     values = values.reshape(*scene.tissue.shape, 3)[scene.tissue] * signs
     assert_allclose(values, np.tile(turn_in(scene.frame) @ vector, (len(values), 1)), atol=FLOAT32)
 
@@ -251,7 +255,7 @@ def test_tensors_in_an_opening_cut_follow_their_principal_direction():
     principal = np.array([0.8, 0.6, 0.0])
     stored_as = np.array([tensor_of(principal)[i, j] for i, j in FSL])
     field = volume_of(lambda x: np.tile(stored_as, (len(x), 1)), 4.0, nc=6)
-    D = tensors_in(SCENE, carry(field, SCENE.frame, SCENE.update, kind="tensor"), FSL)[SCENE.tissue]
+    D = tensors_in(SCENE, carry(field, SCENE.frame, SCENE.update, kind="tensor", axes="world"), FSL)[SCENE.tissue]
     eigenvalues, E = np.linalg.eigh(D)
     assert_allclose(eigenvalues, np.tile([0.2, 0.4, 1.7], (len(D), 1)), atol=1e-6)
     wanted = gradients_at(SCENE, MOTIONS["open"]) @ principal

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.config import STAGES, configure, scenario_problems
-from xfemnav.pipeline.flags import CUT_FLAGS, FILE_FLAGS, FLAGS
+from xfemnav.pipeline.flags import CUT_FLAGS, FILE_FLAGS, FLAGS, KINDS, OF_COMPANIONS
 from xfemnav.pipeline.keys import canonical
-from xfemnav.pipeline.scenario import Scenario, problems, read_toml
+from xfemnav.pipeline.scenario import CompanionSection, Scenario, problems, read_toml
 from xfemnav_cli.run import execute, run
 
 SCENARIO = """
@@ -221,7 +221,7 @@ def test_measured_boundary_is_read_or_refused(tmp_path, header, rows, code):
 
 def test_command_line_and_table_of_flags_agree():
     own = set(execute.__kwdefaults__) | {"verbose", "as_json", "quiet"}
-    assert {option.name for option in run.params} - own == {*FLAGS, *CUT_FLAGS, *FILE_FLAGS}
+    assert {option.name for option in run.params} - own == {*FLAGS, *CUT_FLAGS, *FILE_FLAGS, *OF_COMPANIONS}
 
 
 def test_choices_of_the_command_line_are_those_of_the_schema():
@@ -235,6 +235,26 @@ def test_choices_of_the_command_line_are_those_of_the_schema():
         annotation = section.model_fields[name].annotation
         choices = [c for arm in (get_args(annotation) or ()) for c in (get_args(arm) or [arm]) if isinstance(c, str)]
         assert list(option.type.choices) == choices, option.name
+
+
+def test_choices_of_companions_are_those_of_the_schema():
+    options = {option.name: list(option.type.choices) for option in run.params if option.name in OF_COMPANIONS}
+    options["kind"] = list(KINDS)
+    for flag, choices in options.items():
+        annotation = CompanionSection.model_fields[OF_COMPANIONS.get(flag, flag)].annotation
+        found = [c for arm in get_args(annotation) for c in (get_args(arm) or [arm]) if isinstance(c, str)]
+        assert choices == found, flag
+
+
+def test_companions_by_flags_have_their_axes_and_order():
+    given = {"companion": ("tensor=d.nii.gz", "x_dseg.nii.gz"), "axes": "image", "tensor_order": "mrtrix"}
+    carried = configure("head.nii", flags=CUT | given | {"opening_mm": 4.0}).carry.companions
+    assert [(item.kind, item.axes, item.order) for item in carried] == [("tensor", "image", "mrtrix"),
+                                                                        (None, "image", "mrtrix")]
+    plain = configure("head.nii", flags=CUT | {"companion": ("vector=v.nrrd",), "opening_mm": 4.0}).carry.companions[0]
+    assert (plain.kind, plain.axes, plain.order) == ("vector", "file", None)
+    with pytest.raises(XfemnavError, match=r"E780.*--tensor-order: is for companions"):
+        configure("head.nii", flags=CUT | {"tensor_order": "fsl", "opening_mm": 4.0})
 
 
 def test_every_stage_has_parameters_that_a_key_can_hold():

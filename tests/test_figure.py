@@ -129,24 +129,32 @@ def test_inset_keeps_away_from_every_cut():
     assert x > 0.5 and y > 0.5
 
 
-def test_grey_window_reaches_below_zero_only_for_images_that_do(run):
+def test_grey_window_holds_the_organ_and_a_background_that_is_near(run):
     plane, mask = run[:2]
-    assert figure._window(plane, mask)[0] == 0
-    scores = SimpleNamespace(values=plane.values - 500)
-    assert figure._window(scores, mask)[0] < 0 < figure._window(scores, mask)[1]
+
+    def window(values):
+        return figure._window(SimpleNamespace(values=values), mask)
+
+    low, high = np.percentile(plane.values[mask], [0.5, 99.5])
+    np.testing.assert_allclose(window(plane.values), (0, high))
+    np.testing.assert_allclose(window((plane.values - 500) / 200), (-2.5, (high - 500) / 200))
+    np.testing.assert_allclose(window(-plane.values), (-high, 0))
+    air = np.where(mask, plane.values, -5000.0)    # too far from the organ to share a window with it
+    np.testing.assert_allclose(window(air), (low, high))
 
 
 def test_only_tissue_is_shown_in_the_updated_slice(run):
-    """Neither the scalp nor the cavity, whatever its fill value; tissue that has moved out of the mask is."""
+    """Not the scalp; the cavity as the file has it, and tissue that has moved out of the mask."""
     plane, mask, _, _, update = run
     out = tuple(np.argwhere(~mask & (plane.values > 0))[0])
     field = update.field.copy()
     field[out] = 1.0
     panel = Figure().subplots()
     figure._updated(panel, plane, mask, SimpleNamespace(**{**vars(update), "field": field}), (0, 1000))
-    shown = ~np.ma.getmaskarray(panel.images[0].get_array()).T
-    assert shown[out] and shown.sum() == (mask & ~update.cavity).sum() + 1
-    assert not shown[update.cavity].any()
+    values = panel.images[0].get_array().T
+    shown = ~np.ma.getmaskarray(values)
+    assert shown[out] and shown.sum() == mask.sum() + 1
+    assert (values[update.cavity] == 900).all()
 
 
 def test_overlap_is_drawn_and_a_run_without_cut_too(run, tmp_path):

@@ -1,4 +1,4 @@
-"""Turning vectors and tensors: sizes stay, directions follow the tissue, files keep their order and axes."""
+"""Turning vectors and tensors: sizes stay, directions follow the tissue, components keep their order."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.images import affine_of
-from xfemnav.imaging.tensors import components, in_space, matrices, reoriented, rotations, world_axes
+from xfemnav.imaging.conventions import ORDERS
+from xfemnav.imaging.tensors import components, dyads, in_space, matrices, principal, reoriented, rotations
 
 ROUNDING = 1e-12  # products and eigenvectors of 3 x 3 matrices of size 1: some tens of roundings
 
@@ -80,19 +80,17 @@ def test_a_plane_gradient_in_space_leaves_the_normal():
 
 def test_components_have_the_order_of_their_file():
     D = np.array([[1.0, 2, 3], [2, 4, 5], [3, 5, 6]])
-    assert_array_equal(components(D, 0), [1, 2, 3, 4, 5, 6])          # FSL: xx xy xz yy yz zz
-    assert_array_equal(components(D, 1005), [1, 2, 4, 3, 5, 6])       # ITK: xx xy yy xz yz zz
-    for intent in (0, 1005):
-        assert_array_equal(matrices(components(D, intent), intent), D)
+    wanted = {"fsl": [1, 2, 3, 4, 5, 6], "mrtrix": [1, 4, 6, 2, 3, 5], "nifti": [1, 2, 4, 3, 5, 6]}
+    for name, order in ORDERS.items():
+        assert_array_equal(components(D, order), wanted[name])
+        assert_array_equal(matrices(components(D, order), order), D)
 
 
-def test_axes_of_files():
-    """FSL's first axis is reversed in right-handed storage, so that a vector reads the same in LAS and RAS files."""
-    las, ras = affine_of(np.diag([-2.0, 2, 3])), affine_of(np.diag([2.0, 2, 3]))
-    assert_allclose(world_axes(las, 0, "image"), np.diag([-1, 1, 1]), atol=ROUNDING)
-    assert_allclose(world_axes(ras, 0, "image"), np.diag([-1, 1, 1]), atol=ROUNDING)
-    assert_array_equal(world_axes(ras, 0), np.eye(3))
-    assert_array_equal(world_axes(ras, 1006), np.eye(3))
-    assert_array_equal(world_axes(ras, 1007), np.diag([-1, -1, 1]))
-    with pytest.raises(ValueError, match="world or image"):
-        world_axes(ras, 0, "voxel")
+def test_a_dyad_knows_no_sign_and_no_length():
+    rng = np.random.default_rng(3)
+    v = rng.normal(size=(5, 3))
+    e = v / np.linalg.norm(v, axis=1)[:, None]
+    assert_allclose(dyads(v, ORDERS["fsl"]), dyads(-2 * v, ORDERS["fsl"]), atol=ROUNDING)
+    found = principal(matrices(dyads(v, ORDERS["fsl"]), ORDERS["fsl"]))
+    assert_allclose(abs(np.einsum("ni,ni->n", found, e)), 1, atol=ROUNDING)
+    assert_array_equal(dyads(np.zeros(3), ORDERS["fsl"]), np.zeros(6))

@@ -53,3 +53,11 @@ STILL = Limit(0.1, "mm", "smallest displacement that is one (W409)")
 PRESSURE = Limit(13.332, "kPa", "mean pressure of a blade (W408)")
 SOFTEST = Limit(0.1, "kPa", "smallest Young's modulus of the main tissue that a brain may have (W408)")
 STIFFEST = Limit(100.0, "kPa", "largest Young's modulus of the main tissue that a brain may have (W408)")
+
+NEGATIVE_TENSORS = Limit(1.0, "%", "the organ's tensors with a negative eigenvalue, in the order taken (W133)")
+# Noise turns interpolated vectors a little against each other; axes whose signs differ cancel by whole voxels.
+SHORT = Limit(0.9, "", "the smallest length of an interpolated vector, over that of its neighbours")
+SHRUNK_VECTORS = Limit(5.0, "%", "the organ's interpolated vectors that are shorter than that (W134)")
+# Share of neighbouring whole numbers that are equal: .97 to .99 in label maps at 1 mm, up to .2 in T1 and CT.
+CONTINUOUS_ALIKE = Limit(0.3, "", "equal neighbours in an image that is taken as continuous; more is asked for (E131)")
+LABELS_ALIKE = Limit(0.5, "", "the smallest share of equal neighbours in an image that is taken as labels")

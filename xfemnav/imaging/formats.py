@@ -19,6 +19,24 @@ from xfemnav.errors import XfemnavError
 
 VOXEL_MM, ORIGIN_MM = (1e-3, 1e3), 1e6  # beyond these no position in a body keeps its meaning in float64
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
+RAS, LPS = np.eye(3), LPS_TO_RAS[:3, :3]  # the axes of the two worlds as columns in RAS
+RAS.flags.writeable = LPS.flags.writeable = False
+
+
+class Vectors(NamedTuple):
+    """How a file gives the vectors and tensors that it may hold.
+
+    `stated` (3, 3): the axes of its components as columns in world RAS, v_RAS = `stated` v_file; None when the file
+    says nothing of them. `world` (3, 3): those of the format's own world. `layout`: what it states of a tensor's
+    components: "lower" or "upper" triangle, "masked" (a mask, then the upper triangle), "matrix" (all nine), "".
+    """
+
+    stated: np.ndarray | None = None
+    world: np.ndarray = RAS
+    layout: str = ""
+
+
+NOT_SAID = Vectors()
 
 
 class Header(NamedTuple):
@@ -28,7 +46,7 @@ class Header(NamedTuple):
     the values are (0: not said). The voxels start at byte `offset` of the file, or of `data_file` beside it; from
     there they are packed by "gzip", "zlib" or not ("") . The file counts its axes fastest first; `last_axis` is where
     the last one of `shape` stands there. `vector`: that axis counts components of one value, not volumes.
-    `tail`: bytes that may follow the voxels.
+    `tail`: bytes that may follow the voxels. `vectors`: whose axes components are in.
     """
 
     shape: tuple[int, ...]
@@ -42,6 +60,7 @@ class Header(NamedTuple):
     last_axis: int = -1
     vector: bool = False
     tail: int = 0
+    vectors: Vectors = NOT_SAID
 
     @property
     def n_bytes(self) -> int:

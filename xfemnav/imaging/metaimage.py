@@ -1,6 +1,6 @@
 """MetaImage (.mha, and .mhd with its data file beside it) header -> what its voxels are and where they lie.
 
-Positions are LPS, as ITK writes and reads them. Binary voxels are read, plain or compressed (zlib).
+Positions and vectors are LPS, as ITK writes and reads them. Binary voxels are read, plain or compressed (zlib).
 Field meanings: MetaIO, https://itk.org/Wiki/MetaIO/Documentation.
 """
 
@@ -10,8 +10,10 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.formats import (
+    LPS,
     LPS_TO_RAS,
     Header,
+    Vectors,
     check_affine,
     completed,
     data_file,
@@ -81,7 +83,7 @@ def read_header(head: bytes, name: str) -> Header:
                   int(skip) if beside else length, packing=packing, data_file=beside,
                   slope=_number(fields, "elementtointensityfunctionslope", 1, name),
                   inter=_number(fields, "elementtointensityfunctionoffset", 0, name),
-                  last_axis=0 if several else -1, vector=several)
+                  last_axis=0 if several else -1, vector=several, vectors=Vectors(LPS, LPS))
 
 
 @np.errstate(all="ignore")  # what overflows is refused by its result

@@ -8,7 +8,7 @@ Field meanings: NIfTI-1.1 and NIfTI-2 header files, https://nifti.nimh.nih.gov.
 import numpy as np
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.formats import VOXEL_MM, Header, check_affine, is_usable
+from xfemnav.imaging.formats import LPS, RAS, VOXEL_MM, Header, Vectors, check_affine, is_usable
 from xfemnav.imaging.frames import OTHER, Frames, chosen
 from xfemnav.imaging.lean import nibabel
 
@@ -17,6 +17,8 @@ COLOUR_TYPES = {128: "RGB", 2304: "RGBA"}
 COMPLEX_TYPES = {32: "complex64", 1792: "complex128", 2048: "complex256"}
 MM_PER_UNIT = {1: 1e3, 3: 1e-3}  # metre, micron; 0 (unknown) and 2 are mm
 NO_POSITION = "its qform and sform codes are 0"
+SYMMETRIC, DISPLACEMENT, VECTOR = 1005, 1006, 1007  # intents, of which ITK's are LPS: the first and the last
+VECTORS = {SYMMETRIC: Vectors(None, LPS, "lower"), DISPLACEMENT: Vectors(RAS), VECTOR: Vectors(LPS, LPS)}
 
 _KINDS = {348: (nibabel.Nifti1Header, b"n+1\0"), 540: (nibabel.Nifti2Header, b"n+2\0")}
 
@@ -50,7 +52,9 @@ def read_header(head: bytes, name: str) -> Header:
     """
     raw = _raw(head)
     slope, inter = float(raw["scl_slope"]), float(raw["scl_inter"])
-    return Header(_shape(raw, name), _dtype(raw, name), _offset(raw, name), slope, inter, int(raw["intent_code"]))
+    intent = int(raw["intent_code"])
+    return Header(_shape(raw, name), _dtype(raw, name), _offset(raw, name), slope, inter, intent,
+                  vectors=VECTORS.get(intent, Vectors()))
 
 
 @np.errstate(all="ignore")  # what overflows is refused by its result

@@ -10,6 +10,7 @@ import numpy as np
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.formats import (
     Header,
+    Vectors,
     check_affine,
     completed,
     data_file,
@@ -34,6 +35,7 @@ TO_RAS = {"right-anterior-superior": (1, 1, 1), "ras": (1, 1, 1), "left-anterior
           "las": (-1, 1, 1), "left-posterior-superior": (-1, -1, 1), "lps": (-1, -1, 1)}
 MM_PER_UNIT = {"mm": 1.0, "": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3}
 COLOURS = {"rgb-color", "rgba-color", "hsv-color", "xyz-color"}
+LAYOUTS = {"3d-symmetric-matrix": "upper", "3d-masked-symmetric-matrix": "masked", "3d-matrix": "matrix"}
 SERIES = {"list", "time", "none", "???", "stub", "domain", "space", "scalar"}  # kinds that make no axis a vector
 
 
@@ -79,7 +81,8 @@ def read_header(head: bytes, name: str) -> Header:
     shape = [sizes[axis] for axis in space] + [1] * (3 - len(space)) + [sizes[axis] for axis in other]
     offset = (0 if beside else length) + min(skip[0], 2**40)
     return Header(tuple(shape), _dtype(fields, name), offset, packing=PACKINGS[packing], data_file=beside,
-                  last_axis=_last_axis(other, space), vector=_is_vector(fields, other, name))
+                  last_axis=_last_axis(other, space), vector=_is_vector(fields, other, name),
+                  vectors=_vectors_of(fields, other, name))
 
 
 @np.errstate(all="ignore")  # what overflows is refused by its result
@@ -102,10 +105,15 @@ def read_frame(head: bytes, name: str) -> tuple[np.ndarray, int]:
             raise impossible(name, "space origin")
         affine[:3, 3] = origin[0] * _units(fields, name)
     affine[:3, :3] = columns
-    signs = TO_RAS.get(fields.get("space", "").lower())
+    signs = _signs(fields)
     affine[:3] *= np.array(signs or (1, 1, 1))[:, None]
     check_affine(affine, name)
     return affine, int(signs is not None and directions is not None)
+
+
+def _signs(fields) -> tuple[int, int, int] | None:
+    """Signs that take the axes of the file's space to RAS; None where it names none of the patient's."""
+    return TO_RAS.get(fields.get("space", "").lower())
 
 
 def _sizes(fields, name: str) -> tuple[int, ...]:
@@ -186,10 +194,30 @@ def _last_axis(other: list[int], space: list[int]) -> int:
     return other[0] if other and other[0] < len(space) else -1
 
 
+def _kind(fields, other: list[int]) -> str:
+    """Kind of the axis that is not space; "" where there is none."""
+    if not other:
+        return ""
+    return fields.get("kinds", "").lower().split()[other[0]] if "kinds" in fields else "???"
+
+
+def _vectors_of(fields, other: list[int], name: str) -> Vectors:
+    """Components are in the measurement frame, whose axes are given in the file's space, or in that space itself."""
+    signs = _signs(fields)
+    world = np.diag(np.array(signs or (1, 1, 1), float))
+    if signs is None or not other:
+        return Vectors(None, world, LAYOUTS.get(_kind(fields, other), ""))
+    frame = _vectors(fields.get("measurement frame", "(1,0,0) (0,1,0) (0,0,1)"), name, "measurement frame")
+    whole = len(frame) == 3 and all(axis is not None and np.isfinite(axis).all() for axis in frame)
+    if not whole or np.linalg.det(frame) == 0:
+        raise impossible(name, f"measurement frame {fields['measurement frame'][:60]!r}")
+    return Vectors(world @ np.array(frame).T, world, LAYOUTS.get(_kind(fields, other), ""))
+
+
 def _is_vector(fields, other: list[int], name: str) -> bool:
+    kind = _kind(fields, other)
     if not other:
         return False
-    kind = fields.get("kinds", "").lower().split()[other[0]] if "kinds" in fields else "???"
     if kind in COLOURS or kind == "complex":
         raise XfemnavError("E122", f"{name} is a {kind} image; give one scalar intensity a voxel.")
     return kind not in SERIES

@@ -36,7 +36,8 @@ class Image:
 
     `frame_code` is the header's sform or qform code (0: the file states no position), `dtype` the stored type's
     name, `file_digest` the `content_digest` of what lies on the disk, `name` its name for messages. `frames` are both
-    frames of a NIfTI header, of which `affine` is one; None of other files, and where the header is not asked.
+    frames of a NIfTI header, of which `affine` is one; None of other files, and where the header is not asked. `intent`
+    is NIfTI's code of what the values are (0: not said).
     """
 
     values: np.ndarray
@@ -46,6 +47,7 @@ class Image:
     file_digest: str
     name: str
     frames: Frames | None = None
+    intent: int = 0
 
     def __post_init__(self):
         object.__setattr__(self, "values", frozen_array(self.values, float, (None, None, None), "values"))
@@ -64,7 +66,8 @@ class Components:
 
     Components are as stored, in the file's own frame and order; axes after the third run together, the fourth
     fastest. `intent` is NIfTI's code of what they are (1005 symmetric matrix, 1006 displacement, 1007 vector;
-    0: not said). `dtype`, `file_digest`, `name` and `frames` as of an `Image`.
+    0: not said), `vectors` what the file states of their axes. `dtype`, `file_digest`, `name` and `frames` as of an
+    `Image`.
     """
 
     values: np.ndarray
@@ -74,6 +77,7 @@ class Components:
     file_digest: str
     name: str
     frames: Frames | None = None
+    vectors: formats.Vectors = formats.NOT_SAID
 
     def __post_init__(self):
         object.__setattr__(self, "values", frozen_array(self.values, float, (None, None, None, None), "values"))
@@ -81,9 +85,10 @@ class Components:
 
     @cached_property
     def digest(self) -> str:
-        """sha256 over decoded values, affine and intent, and the header's frames: one content, one digest, under any
+        """sha256 over decoded values, affine, intent, axes, and the header's frames: one content, one digest, under any
         name or compression."""
-        return _values_digest((*self.values.shape, self.intent), self)
+        axes = [None if axes is None else axes.tolist() for axes in self.vectors[:2]]
+        return _values_digest((*self.values.shape, self.intent, *axes, self.vectors.layout), self)
 
 
 def _values_digest(facts: tuple, image: Image | Components) -> str:
@@ -111,7 +116,7 @@ def read_image(path, *, volume=None, nan=None, max_memory_gb=4.0, spacing=None, 
                                    "intensity a voxel.")
     values = _scaled(_one_volume(stored.voxels, volume, stored.name), stored)
     return Image(_finite(values, nan, stored.name), stored.affine, stored.header.dtype.name, stored.frame_code,
-                 stored.file_digest, stored.name, stored.frames)
+                 stored.file_digest, stored.name, stored.frames, stored.header.intent)
 
 
 def read_components(path, *, nan=None, max_memory_gb=4.0, nifti_frame="auto") -> Components:
@@ -122,7 +127,7 @@ def read_components(path, *, nan=None, max_memory_gb=4.0, nifti_frame="auto") ->
     stored = _stored(path, int(max_memory_gb * 1e9), nifti_frame, all_volumes=True)
     values = _scaled(_volumes(stored.voxels), stored)
     return Components(_finite(values, nan, stored.name), stored.affine, stored.header.intent,
-                      stored.header.dtype.name, stored.file_digest, stored.name, stored.frames)
+                      stored.header.dtype.name, stored.file_digest, stored.name, stored.frames, stored.header.vectors)
 
 
 class _Stored(NamedTuple):

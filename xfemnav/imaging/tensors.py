@@ -1,4 +1,4 @@
-"""Vectors and symmetric tensors in moving tissue: their axes in files, and how they turn.
+"""Vectors, axes and symmetric tensors in moving tissue: how they turn.
 
 A vector turns with the rotation of the tissue; a diffusion tensor follows its principal direction, and neither
 changes its size (preservation of principal direction: Alexander, Pierpaoli, Basser, Gee, IEEE Trans. Med. Imaging 20,
@@ -7,45 +7,31 @@ changes its size (preservation of principal direction: Alexander, Pierpaoli, Bas
 
 import numpy as np
 
-SYMMETRIC, DISPLACEMENT, VECTOR = 1005, 1006, 1007  # NIfTI's intents
-LPS = np.diag([-1.0, -1.0, 1.0])
-# Six components of a symmetric tensor by (row, column): NIfTI's own lower triangle (ITK, ANTs), and FSL's order.
-LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
-UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
-
-def world_axes(affine, intent: int, axes: str = "world") -> np.ndarray:
-    """The axes (3, 3) in which a file gives vectors, as columns in world RAS: v_RAS = world_axes v_file.
-
-    "world": RAS itself, but LPS for the intents 1005 and 1007, which are ITK's. "image" (FSL): unit vectors along the
-    array axes of `affine` (4, 4), the first one reversed where they are right-handed.
-    """
-    if axes == "world":
-        return LPS if intent in (SYMMETRIC, VECTOR) else np.eye(3)
-    if axes != "image":
-        raise ValueError(f"axes is {axes!r}, wanted world or image")
-    U, _, V = np.linalg.svd(affine[:3, :3] / np.linalg.norm(affine[:3, :3], axis=0))  # the nearest perpendicular axes
-    directions = U @ V
-    return directions * ([-1, 1, 1] if np.linalg.det(directions) > 0 else [1, 1, 1])
-
-
-def matrices(components, intent: int) -> np.ndarray:
-    """Symmetric matrices (..., 3, 3) of six components (..., 6): xx, xy, yy, xz, yz, zz with the intent 1005 (ITK),
-    xx, xy, xz, yy, yz, zz without (FSL)."""
+def matrices(components, order) -> np.ndarray:
+    """Symmetric matrices (..., 3, 3) of six components (..., 6), whose places (row, column) `order` lists."""
     components = np.asarray(components, float)
     D = np.empty((*components.shape[:-1], 3, 3))
-    for c, (i, j) in enumerate(_order(intent)):
+    for c, (i, j) in enumerate(order):
         D[..., i, j] = D[..., j, i] = components[..., c]
     return D
 
 
-def components(D, intent: int) -> np.ndarray:
-    """Six components (..., 6) of symmetric matrices (..., 3, 3), in the order of `matrices`."""
-    return np.stack([D[..., i, j] for i, j in _order(intent)], axis=-1)
+def components(D, order) -> np.ndarray:
+    """Six components (..., 6) of symmetric matrices (..., 3, 3), whose places (row, column) `order` lists."""
+    return np.stack([D[..., i, j] for i, j in order], axis=-1)
 
 
-def _order(intent: int):
-    return LOWER if intent == SYMMETRIC else UPPER
+def dyads(vectors, order) -> np.ndarray:
+    """Components (..., 6) of e e^T, e the unit vectors along `vectors` (..., 3): the same for e and -e; 0 for 0."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    e = np.divide(vectors, lengths, out=np.zeros(np.shape(vectors)), where=lengths > 0)
+    return np.stack([e[..., i] * e[..., j] for i, j in order], axis=-1)
+
+
+def principal(D) -> np.ndarray:
+    """Unit eigenvectors (n, 3) of the largest eigenvalues of symmetric matrices (n, 3, 3); of arbitrary sign."""
+    return np.linalg.eigh(D)[1][..., 2]
 
 
 def rotations(F) -> np.ndarray:

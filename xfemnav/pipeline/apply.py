@@ -18,14 +18,16 @@ POINTS, TRACTS = (".json", ".fcsv", ".csv", ".tag"), (".trk", ".tck")
 
 @dataclass(frozen=True)
 class Choices:
-    """How files are carried: `kind`, `interp`, `axes`, `outside`, `fill` of images as in `Result.warp`; of points the
-    `side` of a cut, and `inverse`, from now to the preoperative image. `nifti_frame` of images: None for the run's."""
+    """How files are carried: `kind`, `interp`, `axes`, `order`, `outside`, `fill` of images as in `Result.warp`; of
+    points the `side` of a cut, and `inverse`, from now to the preoperative image. `nifti_frame` of images: None for the
+    run's."""
 
     kind: str | None = None
     interp: str = "linear"
-    axes: str = "world"
+    axes: str = "file"
+    order: str | None = None
     outside: str = "keep"
-    fill: float = 0.0
+    fill: float | None = None
     side: str | None = None
     inverse: bool = False
     nifti_frame: str | None = None
@@ -91,14 +93,14 @@ def _image(result: Result, path: Path, target: Path, choices: Choices) -> str:
     from xfemnav.pipeline.files import write_nifti
 
     image = result.warp(path, kind=choices.kind, interp=choices.interp, outside=choices.outside, fill=choices.fill,
-                        axes=choices.axes, nifti_frame=choices.nifti_frame)
+                        axes=choices.axes, order=choices.order, nifti_frame=choices.nifti_frame)
     write_nifti(target, image)
-    about = DESCRIBED["companion"] | {"Sources": [path.name, result.record["outputs"]["solution"]],
+    about = DESCRIBED["companion"] | image.extra | {"Sources": [path.name, result.record["outputs"]["solution"]],
                                       "GeneratedBy": [{"Name": "xfemnav", "Version": __version__}]}
     if not result.trusted:
         about["Untrusted"] = f"{result.record['error']['code']} {result.record['error']['text']}"
     (target.parent / sidecar_name(target.name)).write_text(json_text(about))
-    return f"{choices.kind or 'continuous'} image"
+    return f"{image.extra['Kind']} image"
 
 
 def _points(result: Result, path: Path, target: Path, choices: Choices) -> str:

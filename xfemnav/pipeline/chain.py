@@ -108,13 +108,15 @@ class Inputs:
                 "template": replace(background, nan=None)}.get(kind(role), background)
 
     def decoded(self, role: str):
-        """Read and decode an input file; vectors and tensors with all their components."""
-        from xfemnav.imaging.reading import read_components, read_image
+        """Read and decode an input file; companions with all their values a voxel."""
+        from xfemnav.imaging.kinds import read_companion
+        from xfemnav.imaging.reading import read_image
 
         read, path, limit = self.reading(role), self.files[role], self.config.max_memory_gb
         try:
-            if any(item.role == role and item.kind in ("vector", "tensor") for item in self.config.carry.companions):
-                return read_components(path, nan=read.nan, max_memory_gb=limit, nifti_frame=read.nifti_frame)
+            for item in self.config.carry.companions:
+                if item.role == role and item.kind not in ("points", "streamlines"):
+                    return read_companion(path, item.kind, max_memory_gb=limit, nifti_frame=read.nifti_frame)
             return read_image(path, volume=read.volume, nan=read.nan, spacing=read.spacing, max_memory_gb=limit,
                               nifti_frame=read.nifti_frame)
         except XfemnavError as error:
@@ -243,7 +245,7 @@ class Chain:
             with self.computing(stage.name), recorded() as caught:
                 value = stage.code.compute(params, self.inputs)
                 facts = stage.code.facts(value, self.inputs)
-            if value is not None:
+            if value is not None and stage.kept:
                 from xfemnav.pipeline.store import save
 
                 save(folder, value)

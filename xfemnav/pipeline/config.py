@@ -180,16 +180,18 @@ def _carried(s: "Scenario", files: dict[str, Path]):
     """What goes with the image, and its file; a stem that comes twice gets a number."""
     from xfemnav.pipeline.runfile import stem
 
-    listed = [("companion", item.kind, item.axes, f"companion.{i}.image") for i, item in enumerate(s.companion)]
+    listed = [("companion", item.kind, item.axes, item.order, f"companion.{i}.image")
+              for i, item in enumerate(s.companion)]
     for role in ("points", "streamlines"):
-        listed += [(role, role, "world", f"{role}.{i}") for i in range(len(getattr(s, role)))]
+        listed += [(role, role, "file", None, f"{role}.{i}") for i in range(len(getattr(s, role)))]
     taken = {("companion", stem(files["image"])): 1}  # the updated image has that name
-    for role, kind, axes, place in listed:
+    for role, kind, axes, order, place in listed:
         base = stem(files[place])
         taken[role, base] = number = taken.get((role, base), 0) + 1
         name = base if number == 1 else f"{base}-{number}"
         alone = role != "companion" and place.endswith(".0")
-        yield CompanionParams(role if alone else f"{role}:{name}", files[place].name, kind, axes), files[place]
+        yield CompanionParams(role if alone else f"{role}:{name}", files[place].name, kind, axes,
+                              order), files[place]
 
 
 def _filled(r, s: "Scenario"):

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from xfemnav.imaging.background import blank_of
 from xfemnav.pipeline.disk import write_atomic
 
 PANEL_IN, DPI = 4.0, 140     # width of a panel, and dots an inch
@@ -97,10 +98,11 @@ def _mesh(panel, problem):
 
 
 def _updated(panel, slice, mask, update, grey):
-    """Fig. 2 (d): the slice as it is now, in the grey window of (a): the organ and what has moved out of its mask."""
+    """Fig. 2 (d): the slice as it is now, in the grey window of (a): the organ, what has moved out of its mask, and
+    what is left without tissue, in the value that the file has there."""
     panel.set_title("(d) updated slice, masked")
-    tissue = (mask | (update.field != 0).any(axis=2)) & ~(update.cavity | update.vacated)
-    _draw_grey(panel, slice, np.where(tissue, update.updated, np.nan), grey)
+    shown = mask | (update.field != 0).any(axis=2) | update.cavity | update.vacated
+    _draw_grey(panel, slice, np.where(shown, update.updated, np.nan), grey)
     if update.overlap.any():
         lines = [o + s * np.arange(n) for o, s, n in zip(slice.origin, slice.spacing, slice.values.shape)]
         panel.contour(*lines, update.overlap.T, levels=[0.5], colors=OVERLAP, linewidths=1.0)
@@ -251,9 +253,13 @@ def _caption(slice) -> str:
 
 
 def _window(slice, mask) -> tuple[float, float]:
-    """Grey window that (a) and (d) share: from 0, or below if the organ reaches there, to its 99.5 % quantile."""
+    """Grey window that (a) and (d) share: the organ's values but for .5 % at either end, and the background's, unless
+    that is farther off than those are wide: water is 1000 units from air."""
     low, high = np.percentile(slice.values[mask], [0.5, 99.5])
-    return min(low, 0.0), max(high, low + 1e-9)
+    blank = blank_of(slice.values, mask)
+    near = low - (high - low) <= blank <= high + (high - low)
+    ends = [low, high, blank] if near else [low, high]
+    return min(ends), max(*ends, low + 1e-9)
 
 
 def _box_of_organ(slice, mask):

@@ -66,7 +66,8 @@ BACKSLASH = ("In double quotes a backslash begins an escape: write a path of Win
              "with /.")
 CONTROL = re.compile(r"[\x01-\x1f\x7f]")
 MARKUPS = (".json", ".fcsv", ".csv", ".tag")
-KINDS = ("continuous", "label", "vector", "tensor")
+KINDS = ("continuous", "label", "vector", "axis", "tensor")
+OF_COMPANIONS = {"axes": "axes", "tensor_order": "order"}  # flag: key of every companion that is given by a flag
 MASKS = (".nii", ".nii.gz", ".nrrd", ".mha", ".mgz")
 
 
@@ -76,7 +77,7 @@ def add_flags(raw: dict, flags: dict) -> tuple[list[str], dict[str, Path]]:
     The problems found, one line each, and the files that the flags name, by their place in the scenario.
     """
     given = {name: value for name, value in flags.items() if value is not None and not _is_empty(value)}
-    known = {*FLAGS, *CUT_FLAGS, *FILE_FLAGS}
+    known = {*FLAGS, *CUT_FLAGS, *FILE_FLAGS, *OF_COMPANIONS}
     found = [f"{name}: unknown option" for name in sorted(set(given) - known)]
     files = {}
     for name, place in FLAGS.items():
@@ -87,7 +88,7 @@ def add_flags(raw: dict, flags: dict) -> tuple[list[str], dict[str, Path]]:
     _add_cuts(raw, given, found, files)
     _add_lips(raw, given, found)
     _add_resections(raw, given, found, files)
-    _add_files(raw, given, files)
+    _add_files(raw, given, found, files)
     return found, files
 
 
@@ -171,13 +172,16 @@ def _add_resections(raw: dict, given: dict, found: list[str], files: dict[str, P
         raw["resect"].append(item)
 
 
-def _add_files(raw: dict, given: dict, files: dict[str, Path]) -> None:
+def _add_files(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
     """--companion [KIND=]FILE, --points FILE and --streamlines FILE come after the scenario's own."""
     for value in _repeated(given.get("companion", ())):
         kind, separator, name = str(value).partition("=")
-        kind, name = (kind, name) if separator and kind in KINDS else ("continuous", value)
-        items = raw["companion"] = [*tables(raw, "companion"), {"image": printed(name), "kind": kind}]
+        said, name = ({"kind": kind}, name) if separator and kind in KINDS else ({}, value)
+        said |= {key: given[flag] for flag, key in OF_COMPANIONS.items() if flag in given}
+        items = raw["companion"] = [*tables(raw, "companion"), {"image": printed(name)} | said]
         files[f"companion.{len(items) - 1}.image"] = Path(name)
+    found += [f"--{flag.replace('_', '-')}: is for companions given by --companion, and there is none"
+              for flag in OF_COMPANIONS if flag in given and "companion" not in given]
     for key in ("points", "streamlines"):
         for value in _repeated(given.get(key, ())):
             raw[key] = [*raw.get(key, ()), printed(value)]

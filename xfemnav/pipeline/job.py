@@ -135,7 +135,7 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
         record["outputs"] = folder.names(files | {"report": (Path("report.html"), "")})
         figures = {role: path for role, (path, _) in files.items() if role.partition(":")[0] == "figure"}
         files["report"] = _page(chain, record, figures)
-    record["outputs"] = folder.publish(files, record)
+    record["outputs"] = folder.publish(files, record, _sidecars(chain))
     folder.write_record(record)
     return record
 
@@ -177,18 +177,28 @@ def _untrusted(chain: Chain, faults: list[str]) -> dict:
 OF_A_STEP = ("updated", "cavity", "solution", "figure")
 
 
+def _sidecars(chain: Chain) -> dict[str, dict]:
+    """What stages say of their images, for the sidecars, by role."""
+    config = chain.config
+    return {_role(config, label, done, name): words for label, done in chain.inputs.done.items()
+            for name, words in done.facts.get("sidecars", {}).items()}
+
+
+def _role(config: Config, label: str, item: Done, name: str) -> str:
+    """The role of a public file `name` of a stage that is kept as `label`."""
+    _, _, step = label.partition(":")
+    if item.name == "carry":
+        number, _, what = name.removeprefix("carry-").partition("-")
+        return config.carry.companions[int(number)].role + (f"-{what}" if what else "")
+    return f"{name}:{config.steps[int(step)].name}" if step else name
+
+
 def _collect(files: dict[str, tuple[Path, str]], config: Config, label: str, item: Done) -> None:
     """Add the public files of a stage, with their sha256, to `files` by role."""
     _, _, step = label.partition(":")
     for name, path in item.public().items():
-        role = name
-        if item.name == "carry":
-            number, _, what = name.removeprefix("carry-").partition("-")
-            role = config.carry.companions[int(number)].role + (f"-{what}" if what else "")
-        elif step:
-            role = f"{name}:{config.steps[int(step)].name}"
         if not step or name in OF_A_STEP:
-            files[role] = path, item.entry.files[f"public/{path.name}"]
+            files[_role(config, label, item, name)] = path, item.entry.files[f"public/{path.name}"]
 
 
 def _roles(config: Config) -> list[str]:
@@ -223,7 +233,8 @@ def _reported(chain: Chain, record: dict) -> dict:
 def _gather(found: dict, facts: dict) -> None:
     """Add what a stage reported; tables of the same name are joined."""
     for name, fact in facts.items():
-        found[name] = found.get(name, {}) | fact if isinstance(fact, dict) else fact
+        if name != "sidecars":
+            found[name] = found.get(name, {}) | fact if isinstance(fact, dict) else fact
 
 
 #: What the record says of each step.

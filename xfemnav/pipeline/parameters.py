@@ -176,18 +176,20 @@ class WarpParams:
 
     interp: str
     outside: str
-    fill: float
+    fill: float | None
     transforms: str
 
 
 @dataclass(frozen=True)
 class CompanionParams:
-    """Another image to carry, or landmarks and streamlines to move: the role of its file, the file's name, its kind."""
+    """Another image to carry, or landmarks and streamlines to move: the role of its file, the file's name, its kind
+    (None: by the file), and whose `axes` and which `order` vectors and tensors have."""
 
     role: str
     name: str
-    kind: str
+    kind: str | None
     axes: str
+    order: str | None
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ class CarryParams:
     companions: tuple[CompanionParams, ...]
     interp: str
     outside: str
-    fill: float
+    fill: float | None
 
 
 @dataclass(frozen=True)

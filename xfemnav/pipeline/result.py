@@ -162,24 +162,27 @@ class Result:
         return move_streamlines(read_streamlines(path), self.frame, self.motion, self.organ.corners)
 
     def warp(self, image, *, kind: str | None = None, interp: str = "linear", outside: str = "keep",
-             fill: float = 0.0, axes: str = "world", nifti_frame: str | None = None):
+             fill: float | None = None, axes: str = "file", order: str | None = None, nifti_frame: str | None = None):
         """Another image of the patient after the motion.
 
         The path of an image on any grid in the preoperative image's world gives a nibabel image on the grid of the
-        run's slice. `kind` is continuous (the default for one value a voxel), label, vector or tensor, whose `axes` are
-        "world" or "image"; pixels outside of the organ are kept, or 0 with `outside="zero"`, and those that tissue has
-        left get `fill`. `nifti_frame` says which frame of a header with two is taken; left out, it is the run's choice.
-        An array (n1, n2) along e1 and e2 of the run's slice gives an array.
+        run's slice, whose `extra` says how it was made. `kind` is continuous, label, vector, axis or tensor; left out,
+        the file's name, header and data say which of the first two. `axes` ("file", "world", "image", "index") and
+        `order` ("fsl", "mrtrix", "nifti") are those of vectors and tensors. Pixels outside of the organ are kept, or 0
+        with `outside="zero"`; those that tissue has left get `fill`, or the image's own background. `nifti_frame` says
+        which frame of a header with two is taken; left out, it is the run's choice. An array (n1, n2) along e1 and e2
+        of the run's slice gives an array.
         """
         from xfemnav.imaging.companions import carry
+        from xfemnav.imaging.kinds import kind_of, read_companion
 
         if not isinstance(image, str | Path):
             return self._updated(image, interp, outside, fill).updated
         wanted = nifti_frame or self.nifti_frame
-        companion = _read(Path(image), kind, wanted)
+        companion = read_companion(image, kind, nifti_frame=wanted)
         self._warn_of_frames(companion, wanted)
-        return carry(companion, self.frame, self.update, kind=kind or "continuous", interp=interp, outside=outside,
-                     fill=fill, axes=axes)
+        return carry(companion, self.frame, self.update, kind=kind or kind_of(companion), interp=interp,
+                     outside=outside, fill=fill, axes=axes, order=order)
 
     def _warn_of_frames(self, companion, wanted: str) -> None:
         """W114 of a file that comes later."""
@@ -218,11 +221,14 @@ class Result:
         meaning = {"backward": "resampling", "forward": "modeling"}[direction]
         write_atomic(Path(path), TRANSFORMS[suffix](frame, field, meaning))
 
-    def _updated(self, values, interp: str = "nearest", outside: str = "keep", fill: float = 0.0):
+    def _updated(self, values, interp: str = "nearest", outside: str = "keep", fill: float | None = None):
+        from xfemnav.imaging.background import asked_blank
         from xfemnav.imaging.warp import covered, enclosed, update
 
-        grid = self.frame.origin, self.frame.spacing, self.frame.values.shape
-        return update(values, *grid[:2], covered(self.organ.corners, *grid), self._pull_back, interp, outside, fill,
+        values, grid = np.asarray(values), (self.frame.origin, self.frame.spacing, self.frame.values.shape)
+        organ = covered(self.organ.corners, *grid)
+        blank = asked_blank(values, organ, interp, outside, fill)
+        return update(values, *grid[:2], organ, self._pull_back, interp, outside, blank,
                       now=enclosed(self.outline, *grid))
 
     @cached_property
@@ -256,26 +262,6 @@ def _step_of(record: dict, step: str | None) -> tuple[str, list]:
         raise XfemnavError("E780", f"the run has no step {step!r}: {known}.")
     last = step == names[-1]
     return "solution" if last else f"solution:{step}", record["steps"][names.index(step)]["cuts"]
-
-
-def _read(path: Path, kind: str | None, nifti_frame: str):
-    """The image at `path`, with all its values a voxel where its kind has several; NaN is background.
-
-    Raises E131 for several values of no stated kind.
-    """
-    from xfemnav.imaging.reading import read_components, read_image
-
-    if kind in ("vector", "tensor"):
-        return read_components(path, nan=0.0, nifti_frame=nifti_frame)
-    try:
-        return read_image(path, nan=0.0, nifti_frame=nifti_frame)
-    except XfemnavError as error:
-        if error.code not in ("E121", "E122"):
-            raise
-        if kind is None:
-            raise XfemnavError("E131", f"{path.name} holds several values a voxel. Say what they are: continuous, "
-                                       "vector or tensor.") from None
-        return read_components(path, nan=0.0, nifti_frame=nifti_frame)
 
 
 def _h5(frame, field, meaning) -> bytes:

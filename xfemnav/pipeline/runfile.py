@@ -138,15 +138,16 @@ class OutputFolder:
         """Public name of each role, from the files in the cache."""
         return {role: public_name(self.image, role, "".join(path.suffixes)) for role, (path, _) in files.items()}
 
-    def publish(self, files: dict[str, tuple[Path, str]], record: dict) -> dict[str, str]:
-        """Put `files` (role -> path in the cache, sha256) in place; their public names by role."""
+    def publish(self, files: dict[str, tuple[Path, str]], record: dict, words: dict[str, dict]) -> dict[str, str]:
+        """Put `files` (role -> path in the cache, sha256) in place; their public names by role. `words` (by role) is
+        what the sidecars of this run say more."""
         names = self.names(files)
         changed = {names[role]: source.read_bytes() for role, (source, sha256) in files.items()
                    if not self._holds(names[role], sha256)}
         maker = {"Sources": [self.image.name], "GeneratedBy": [{"Name": "xfemnav", "Version": record["version"]}]}
         described = {role: DESCRIBED[role.partition(":")[0]] for role in files if role.partition(":")[0] in DESCRIBED}
         for role, content in described.items():
-            sidecar = json_text(content | maker).encode()
+            sidecar = json_text(content | words.get(role, {}) | maker).encode()
             name = sidecar_name(names[role])
             if not self._holds(name, hashlib.sha256(sidecar).hexdigest()):
                 changed[name] = sidecar

@@ -159,10 +159,15 @@ class CompanionSection(Section):
     """Another image of the patient, on any grid, carried along with the tissue."""
 
     image: Path_ = Field(description="any format and grid; vectors and tensors with all their components")
-    kind: Literal["continuous", "label", "vector", "tensor"] = Field(
-        "continuous", description="labels are taken from the nearest voxel, vectors and tensors turn with the tissue")
-    axes: Literal["world", "image"] = Field(
-        "world", description="of vectors and tensors: world (ITK, ANTs, MRtrix), or the image's own (FSL's dtifit)")
+    kind: Literal["continuous", "label", "vector", "axis", "tensor"] | None = Field(
+        None, description="labels are taken from the nearest voxel; vectors, axes (without a sign) and tensors turn "
+                          "with the tissue; left out: label or continuous, by the file's name, header and data")
+    axes: Literal["file", "world", "image", "index"] = Field(
+        "file", description="whose axes vectors and tensors are in: what the file states, the world's (RAS, or LPS in "
+                            "formats that are LPS), the image's as FSL counts them, or the array's (ANTs)")
+    order: Literal["fsl", "mrtrix", "nifti"] | None = Field(
+        None, description="of a tensor's six components: xx xy xz yy yz zz; xx yy zz xy xz yz; xx xy yy xz yz zz; "
+                          "left out: as the file states, else fsl")
 
 
 class SegmentSection(Section):
@@ -293,8 +298,9 @@ class WarpSection(Section):
     """How the new image is sampled."""
 
     interp: Literal["linear", "cubic", "nearest"] = Field("linear", description="interpolation")
-    outside: Literal["keep", "zero"] = Field("keep", description="pixels outside the organ")
-    fill: float = Field(0.0, description="value of cavity pixels")
+    outside: Literal["keep", "zero"] = Field("keep", description="pixels outside the organ: as they were, or 0")
+    fill: float | None = Field(
+        None, description="value of pixels without tissue; left out: each image's own background, from its corners")
     transforms: Literal["none", "itk", "all"] = Field(
         "itk", description="the motion for other programs: one ITK transform for viewers, or every form and direction")
 

@@ -125,6 +125,7 @@ class Session:
 
     def image(self, values=None, *, interp: str | None = None, outside: str | None = None, fill: float | None = None):
         """The slice as it looks now, (n1, n2) along e1 and e2; or other `values` on its grid, a companion."""
+        from xfemnav.imaging.background import asked_blank
         from xfemnav.imaging.warp import pull_back, update
 
         if self.frame is None:
@@ -139,12 +140,12 @@ class Session:
         if self._pulled is None:
             self._pulled = pull_back(self._soup.rest, self._motion.moved, *grid)
         own = self._warp
-        how = [own.interp if interp is None else interp, own.outside if outside is None else outside,
-               own.fill if fill is None else fill]
+        how = [own.interp if interp is None else interp, own.outside if outside is None else outside]
         if how[0] not in INTERP or how[1] not in OUTSIDE:
             raise XfemnavError("E780", f"interp {how[0]!r}, outside {how[1]!r}: wanted one of {', '.join(INTERP)}, and "
                                        f"one of {', '.join(OUTSIDE)}.")
-        return update(values, *grid[:2], self._at_rest, self._pulled, *how).updated
+        blank = asked_blank(values, self._at_rest, *how, own.fill if fill is None else fill)
+        return update(values, *grid[:2], self._at_rest, self._pulled, *how, blank).updated
 
     def forces(self) -> dict:
         """What each blade does: {"left": RetractorForce, ...}, mN per mm of thickness, kPa."""

@@ -17,6 +17,7 @@ class Stage:
     `needs` are earlier stages; `files` are roles of input files, without the part after a colon. The module `code` has
     `compute(params, inputs)`, which gives the value, `facts(value, inputs)`, its numbers for run.json, and
     `publish(value, inputs, folder)`, which writes files named by role; `line(facts)` says the key figure in a word.
+    The value of a stage that is not `kept` is for its own files alone.
     """
 
     name: str
@@ -26,3 +27,4 @@ class Stage:
     files: tuple[str, ...]
     code: ModuleType
     line: Callable[[dict], str]
+    kept: bool = True

@@ -1,17 +1,23 @@
-"""The stage carry: companions, landmarks and streamlines go with the image, each to a file of its own."""
+"""The stage carry: companions, landmarks and streamlines go with the image, each to a file of its own.
+
+No later stage reads its value, so that is written as files and not kept beside them.
+"""
 
 
 def compute(params, inputs):
-    """What is carried along is written as files, not kept as a value."""
+    """The image of each companion after the motion, by its number; landmarks and streamlines are files alone."""
+    return {number: _carried(item, params, inputs) for number, item in enumerate(params.companions)
+            if item.kind not in ("points", "streamlines")}
 
 
 def facts(value, inputs):
-    """What run.json says of the stage: for each file of landmarks, what became of its points."""
+    """What run.json says of the stage: what became of landmarks; and the sidecars of the images."""
     landmarks = [item for item in inputs.config.carry.companions if item.kind == "points"]
     for item in landmarks:
         _warn_of_frame(item, inputs)
     tables = [_moved(item, inputs)[1] for item in landmarks]
-    return {"points": tables} if tables else {}
+    found = {"sidecars": {f"carry-{number}": image.extra for number, image in value.items()}}
+    return found | ({"points": tables} if tables else {})
 
 
 def line(found):
@@ -22,19 +28,23 @@ def line(found):
 
 def publish(value, inputs, folder):
     """Write the stage's public files into `folder`: carry-<number>, with what it is where there are several."""
-    for number, item in enumerate(inputs.config.carry.companions):
-        write = {"points": _write_points, "streamlines": _write_streamlines}.get(item.kind, _write_companion)
-        write(item, inputs, folder, f"carry-{number}")
-
-
-def _write_companion(item, inputs, folder, name):
-    from xfemnav.imaging.companions import carry
     from xfemnav.pipeline.files import write_nifti
 
-    params, (slice, _) = inputs.config.carry, inputs.value("segment")
-    image = carry(inputs.image(item.role), slice, inputs.value("warp"), kind=item.kind, interp=params.interp,
-                  outside=params.outside, fill=params.fill, axes=item.axes)
-    write_nifti(folder / f"{name}.nii.gz", image)
+    for number, item in enumerate(inputs.config.carry.companions):
+        if number in value:
+            write_nifti(folder / f"carry-{number}.nii.gz", value[number])
+        else:
+            write = {"points": _write_points, "streamlines": _write_streamlines}[item.kind]
+            write(item, inputs, folder, f"carry-{number}")
+
+
+def _carried(item, params, inputs):
+    from xfemnav.imaging.companions import carry
+    from xfemnav.imaging.kinds import kind_of
+
+    (slice, _), companion = inputs.value("segment"), inputs.image(item.role)
+    return carry(companion, slice, inputs.value("warp"), kind=item.kind or kind_of(companion), interp=params.interp,
+                 outside=params.outside, fill=params.fill, axes=item.axes, order=item.order)
 
 
 def _write_points(item, inputs, folder, name):

@@ -8,21 +8,29 @@ SLIVER_MM = 0.06
 def compute(params, inputs):
     """The slice after the cut: an Update."""
     from xfemnav.errors import warn
-    from xfemnav.imaging.warp import covered, enclosed, pull_back, update
+    from xfemnav.imaging.background import blank_of
+    from xfemnav.imaging.warp import enclosed, pull_back, update
 
     slice, _ = inputs.value("segment")
-    solution, mesh = inputs.value("solve"), inputs.value("mesh")
+    solution, organ = inputs.value("solve"), _organ(inputs)
     grid = slice.origin, slice.spacing, slice.values.shape
     motion = pull_back(solution.rest, solution.moved, *grid)
-    updated = update(slice.values, *grid[:2], covered(mesh.corners, *grid), motion,
-                     interp=params.interp, outside=params.outside, fill=params.fill,
-                     now=enclosed(solution.outline, *grid))
+    updated = update(slice.values, *grid[:2], organ, motion, interp=params.interp, outside=params.outside,
+                     fill=blank_of(slice.values, organ, params.fill), now=enclosed(solution.outline, *grid))
     twice = _twice(updated, inputs)
     if twice.any():
         x, y = slice.pixel_centres()[twice].mean(axis=0)
         warn("W403", f"{twice.sum() * slice.spacing.prod():.3g} mm2 of tissue lie twice, about "
                      f"({x:.1f}, {y:.1f}) mm: a lip has moved through the other, or tissue has folded.")
     return updated
+
+
+def _organ(inputs):
+    """Pixels (n1, n2) of the organ at rest, also of what is taken out."""
+    from xfemnav.imaging.warp import covered
+
+    slice, _ = inputs.value("segment")
+    return covered(inputs.value("mesh").corners, slice.origin, slice.spacing, slice.values.shape)
 
 
 def lying_twice(overlap, slice, problem, solution):
@@ -51,12 +59,18 @@ def _twice(value, inputs):
 
 
 def facts(value, inputs):
-    """What run.json says of the stage."""
-    slice, _ = inputs.value("segment")
+    """What run.json says of the stage, and the sidecar of the image."""
+    from xfemnav.imaging.background import blank_of, warn_of_blank
+
+    (slice, _), organ, params = inputs.value("segment"), _organ(inputs), inputs.config.warp
+    blank = blank_of(slice.values, organ, params.fill)
+    warn_of_blank(blank, slice.values[organ], "the image", given=params.fill is not None,
+                  outside=params.outside)
     pixel = float(slice.spacing.prod())
     return {"checks": {"cavity_mm2": float(value.cavity.sum()) * pixel,
                        "vacated_mm2": float(value.vacated.sum()) * pixel,
-                       "overlap_mm2": float(_twice(value, inputs).sum()) * pixel}}
+                       "overlap_mm2": float(_twice(value, inputs).sum()) * pixel},
+            "sidecars": {"updated": {"Fill": blank}}}
 
 
 def publish(value, inputs, folder):
