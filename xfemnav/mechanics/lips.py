@@ -17,6 +17,7 @@ from xfemnav.mechanics.quadrature import gauss
 from xfemnav.mechanics.space import Space
 
 LEFT, RIGHT = 1, -1
+RELATIVE_TO = ("loads", "rest")
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class Retraction:
     Exactly one of `displacement_mm` (dx, dy), `normal_mm` (away from the other lip) and `force_mN_per_mm` (fx, fy)
     spread over the blade. `blade` (from, to): the part of the cut's length that is held, 0 at the mouth; None holds,
     pointwise, every crossing but the tip cell's. `blade_given`: whether the user said so, and is told if it cannot be.
+    `relative_to`: displacements count from where the lip lies under all that acts but blades ('loads', by default for
+    normal_mm), or from its place at rest ('rest').
     """
 
     cut: int
@@ -35,8 +38,11 @@ class Retraction:
     force_mN_per_mm: tuple[float, float] | None = None
     blade: tuple[float, float] | None = (0.0, 0.8)
     blade_given: bool = True
+    relative_to: str | None = None
 
     def __post_init__(self):
+        if self.relative_to not in (None, *RELATIVE_TO):
+            raise ValueError(f"relative_to is {self.relative_to!r}, not one of {RELATIVE_TO}")
         if sum(x is not None for x in (self.displacement_mm, self.normal_mm, self.force_mN_per_mm)) != 1:
             raise ValueError("give exactly one of displacement_mm, normal_mm, force_mN_per_mm")
         if self.side not in (LEFT, RIGHT):
@@ -53,8 +59,14 @@ class Retraction:
         """True when the lip's displacement is prescribed, not its force."""
         return self.force_mN_per_mm is None
 
+    @property
+    def from_loads(self) -> bool:
+        """True when the lip's displacement counts from where it lies under all that acts but blades."""
+        default = "rest" if self.normal_mm is None else "loads"
+        return self.holds and (self.relative_to or default) == "loads"
+
     def displacement(self, normals) -> np.ndarray:
-        """Prescribed displacement (k, 2) mm where the left normals of the cut are (k, 2)."""
+        """Prescribed displacement (k, 2) mm, from where it counts, where the left normals of the cut are (k, 2)."""
         if self.displacement_mm is not None:
             return np.tile(np.asarray(self.displacement_mm, float), (len(normals), 1))
         return self.side * self.normal_mm * normals

@@ -31,13 +31,23 @@ def nitsche_terms(
     return K, B.T @ (beta * w * given) - t.T @ (w * given)
 
 
+def nitsche_load(space: Space, material: Material | Tissue, retraction: Retraction, span, U) -> np.ndarray:
+    """Load (n_dof,) mN per mm by which the condition also asks for the displacements of the coefficients U (n_dof,)."""
+    B, t, beta, weights, _ = _lip_operators(space, material, retraction, span)
+    w, given = np.repeat(weights, 2), B @ U
+    return B.T @ (beta * w * given) - t.T @ (w * given)
+
+
 def nitsche_traction(
-    space: Space, material: Material | Tissue, retraction: Retraction, span, U
+    space: Space, material: Material | Tissue, retraction: Retraction, span, U, under=None
 ) -> tuple[LipQuadrature, np.ndarray]:
-    """Gauss points of the lip and the traction (q, 2) kPa of the retractor there: t(u) - beta (u - given)."""
+    """Gauss points of the lip and the traction (q, 2) kPa of the retractor there: t(u) - beta (u - given).
+
+    under (n_dof,): coefficients of the displacements from which the given ones count; None: from rest.
+    """
     B, t, beta, _, given = _lip_operators(space, material, retraction, span)
     u = np.asarray(U).ravel()
-    traction = t @ u - beta * (B @ u - given)
+    traction = t @ u - beta * (B @ u - given - (0 if under is None else B @ under))
     return lip_quadrature(space, retraction.cut, retraction.side, span), traction.reshape(-1, 2)
 
 

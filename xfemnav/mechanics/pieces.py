@@ -84,7 +84,7 @@ def sort_out(
     if crumbs:
         more = f", and {len(crumbs) - 1} smaller ones" if len(crumbs) > 1 else ""
         warn("W311", f"a loose piece of {crumbs[-1]}{more}, under the size of an element, was cut free and removed.")
-    conditions = stack([constraints, _at_rest(table, sub.removed)], table.n_dof)
+    conditions = stack([constraints, at_rest(table, sub.removed)], table.n_dof)
     rows = [
         _held_at_mean(space, table.body == bodies[k], motions[:, 3 * k : 3 * k + 3] @ _span(free))
         for k, free in held.items()
@@ -213,7 +213,7 @@ def _rule(space, parts):
     return points, weights, owner
 
 
-def _at_rest(table, parts):
+def at_rest(table, parts) -> Constraints:
     """All basis functions of some parts (p,) bool are 0."""
     rows = np.unique(table.dof[parts])
     pick = csr_array((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), table.n_rows))

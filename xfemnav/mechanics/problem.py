@@ -1,7 +1,7 @@
 """Pose the mechanical problem: mesh, cuts, tissue, skull and retractors as matrices and vectors."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import shapely
@@ -14,6 +14,7 @@ from xfemnav.geometry.removal import take_out
 from xfemnav.geometry.resection import Resection
 from xfemnav.geometry.snapping import SNAP
 from xfemnav.geometry.subcells import Subcells, embed
+from xfemnav.mechanics.bare import Bare, without_blades
 from xfemnav.mechanics.constraints import Constraints, stack
 from xfemnav.mechanics.contact import join, lip_contacts
 from xfemnav.mechanics.elasticity import Material, Tissue
@@ -21,7 +22,7 @@ from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
 from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
 from xfemnav.mechanics.loads import Gravity, Pressure, dead_loads
 from xfemnav.mechanics.minimise import Contacts, Means
-from xfemnav.mechanics.nitsche import nitsche_terms
+from xfemnav.mechanics.nitsche import nitsche_load, nitsche_terms
 from xfemnav.mechanics.outline import Skull, hung, skull_conditions
 from xfemnav.mechanics.pieces import Piece, sort_out
 from xfemnav.mechanics.space import Space
@@ -44,6 +45,8 @@ class Problem:
     resected or loose, not in the result; pieces: the bodies of tissue that cuts and resections leave, largest first,
     those removed last.
     With the 'neo-hookean' model the tissue's stored energy takes the place of 1/2 U'KU.
+    bare: what takes the place of these without the blades, where a blade's displacement counts from its lip's place
+    then and that is not at rest; once that is known, `under` (n_dof,) mm are its coefficients, and the data count on.
     """
 
     space: Space
@@ -65,12 +68,40 @@ class Problem:
     resections: tuple[Resection, ...] = ()
     pieces: tuple[Piece, ...] = ()
     means: Means | None = None
+    bare: Bare | None = None
+    under: np.ndarray | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
         object.__setattr__(self, "springs", csr_array(self.springs))
         object.__setattr__(self, "load", frozen_array(self.load, float, (self.space.enrichment.n_dof,), "load"))
         object.__setattr__(self, "removed", frozen_array(self.removed, bool, (self.space.subcells.n_parts,), "removed"))
+        if self.under is not None:
+            object.__setattr__(self, "under", frozen_array(self.under, float, self.load.shape, "under"))
+
+    def without_blades(self) -> "Problem":
+        """The same problem without blades, for one that has `bare`."""
+        own = {field.name: getattr(self.bare, field.name) for field in fields(Bare)}
+        return replace(self, retractions=(), spans=np.empty((0, 2)), bare=None, **own)
+
+    def counted_from(self, U) -> "Problem":
+        """The same problem with blades' displacements as they count, from U (n_dof,) mm where a blade says so.
+
+        Raises XfemnavError E405 where lips are pushed into each other.
+        """
+        load, moved = np.array(self.load), np.zeros(len(self.constraints.d))
+        for group, (retraction, span) in enumerate(zip(self.retractions, self.spans)):
+            if retraction.from_loads and self.lip_constraint == "nitsche":
+                load += nitsche_load(self.space, self.material, retraction, span, U)
+            elif retraction.from_loads:
+                own = np.flatnonzero(self.constraints.group == group)
+                moved[own] = self.constraints.C[own] @ U
+        found = replace(
+            self, load=load, constraints=replace(self.constraints, d=self.constraints.d + moved), bare=None, under=U
+        )
+        apart = self.bare.contacts is not None and (self.bare.contacts.cut >= 0).any()
+        _refuse_swapped(self.space, self.cuts, self.retractions, self.spans, U.reshape(-1, 2), apart)
+        return found
 
     @property
     def mesh(self) -> Mesh:
@@ -162,12 +193,12 @@ def pose(
         n_dof = space.enrichment.n_dof
         spans = _spans(space, cuts, retractions, lip_constraint, again=bool(taken))
         _refuse_overlap(cuts, retractions, spans)
-        _refuse_swapped(space, cuts, retractions, spans)
         outline = skull_conditions(
             space, skull, mouths, material, boundary_displacement, boundary_weight, {r.cut for r in retractions}
         )
         conditions, springs = [outline.constraints], outline.springs
-        load = outline.load + dead_loads(space, gravity, pressures, resections)
+        dead = dead_loads(space, gravity, pressures, resections)
+        load = outline.load + dead
         for group, (retraction, span) in enumerate(zip(retractions, spans)):
             if not retraction.holds:
                 load += lip_load(space, retraction, span)
@@ -188,7 +219,13 @@ def pose(
     contacts = [outline.contacts]
     if lips == "contact":
         contacts.append(lip_contacts(space, retractions, spans, subcells.removed))
-    contacts = join(contacts, n_dof)
+    contacts, bare = join(contacts, n_dof), None
+    if any(r.from_loads for r in retractions) and (dead.any() or outline.load.any() or outline.constraints.d.any()):
+        if boundary_displacement is not None:  # a mouth that no blade opens may be held shut
+            outline = skull_conditions(space, skull, mouths, material, boundary_displacement, boundary_weight)
+        bare = without_blades(space, cuts, resections, outline, dead, lips)
+    else:  # nothing moves the lips but blades: they count from rest
+        _refuse_swapped(space, cuts, retractions, spans)
     return Problem(
         space,
         cuts,
@@ -209,6 +246,7 @@ def pose(
         resections=resections,
         pieces=(*pieces, *sorted(taken, key=lambda piece: -piece.area_mm2)),
         means=means,
+        bare=bare,
     )
 
 
@@ -272,8 +310,12 @@ def _refuse_overlap(cuts, retractions, spans):
                 )
 
 
-def _refuse_swapped(space, cuts, retractions, spans):
-    """Both lips held over one span must be pulled apart, or at least not into each other."""
+def _refuse_swapped(space, cuts, retractions, spans, under=None, apart=False):
+    """Both lips held over one span must be pulled apart, or at least not into each other.
+
+    under (n_rows, 2) mm: from where displacements count that do not count from rest; `apart`: its lips do not overlap,
+    but between the means of their contact.
+    """
     for one, a in zip(retractions, spans):
         for other, b in zip(retractions, spans):
             if one.cut != other.cut or one.side != 1 or other.side != -1 or not (one.holds and other.holds):
@@ -281,11 +323,20 @@ def _refuse_swapped(space, cuts, retractions, spans):
             span = max(a[0], b[0]), min(a[1], b[1], cuts[one.cut].length)
             if span[1] <= span[0]:
                 continue
-            normals = lip_quadrature(space, one.cut, 1, span, n=1).normals
-            opening = np.einsum("ki,ki->k", one.displacement(normals) - other.displacement(normals), normals)
+            q = lip_quadrature(space, one.cut, 1, span, n=1)
+            opening = _along(one.displacement(q.normals) - other.displacement(q.normals), q)
+            if under is not None:
+                lips = [space.basis_in(q.points, parts) @ under * r.from_loads
+                        for r, parts in ((one, q.parts), (other, q.across))]
+                before = _along(lips[0] - lips[1], q)
+                opening += np.maximum(before, 0) if apart and one.from_loads and other.from_loads else before
             if opening.min() < -1e-9:
                 raise XfemnavError(
                     "E405",
                     f"left and right look swapped on cut '{cuts[one.cut].name}': its lips are pushed "
                     f"{-opening.min():.1f} mm into each other; left is left when walking from the mouth to the tip.",
                 )
+
+
+def _along(vectors, q):
+    return np.einsum("ki,ki->k", vectors, q.normals)

@@ -7,7 +7,7 @@ from scipy.sparse import csc_array, csr_array, eye_array
 
 from xfemnav.geometry.mesh import frozen_array, orient
 from xfemnav.geometry.moved_outline import moved_outline
-from xfemnav.mechanics.constraints import eliminate, multipliers
+from xfemnav.mechanics.constraints import Constraints, eliminate, multipliers
 from xfemnav.mechanics.contact import ContactForce, contact_forces
 from xfemnav.mechanics.drift import refuse_drift, refuse_flight, warn_of_sway
 from xfemnav.mechanics.elasticity import stiffness
@@ -17,7 +17,7 @@ from xfemnav.mechanics.fracture import FreeTip, free_tips
 from xfemnav.mechanics.hyperelastic import Equilibrium, equilibrium
 from xfemnav.mechanics.lips import lip_quadrature, lip_rows
 from xfemnav.mechanics.measures import SHARE, displacement_gradient, exceeded, principal_size
-from xfemnav.mechanics.minimise import minimise
+from xfemnav.mechanics.minimise import Minimum, minimise
 from xfemnav.mechanics.nitsche import nitsche_traction
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.reduction import node_blocks, owners, vector_tip_basis
@@ -123,46 +123,26 @@ class Solution:
 def solve(problem: Problem) -> Solution:
     """Minimise 1/2 U'KU - f'U under the problem's conditions; or the potential energy of neo-Hookean tissue.
 
-    The conditions are eliminated exactly (U = U0 + T q); see `minimise` and `equilibrium` for what is left. Raises
-    XfemnavError E405, E406, E407; E410 where neo-Hookean tissue has no equilibrium.
+    The conditions are eliminated exactly (U = U0 + T q); see `minimise` and `equilibrium` for what is left. Where
+    blades count from where their lips lie without them, that is found first. Raises XfemnavError E405, E406, E407; E410
+    where neo-Hookean tissue has no equilibrium.
     """
     elastic = stiffness(problem.space, problem.material)
-    K = (elastic + problem.springs).tocsc()
-    basis = scaled_basis(problem, K)
-    constraints = replace(problem.constraints, C=problem.constraints.C @ basis)
-    U0, T = eliminate(constraints)
-    U0, T = basis @ U0, (basis @ T).tocsc()
-    linear = minimise(
-        K, problem.load, U0, T, problem.contacts, problem.means, problem.lip_constraint != "nitsche", problem.hung
-    )
-    if problem.model == "linear":
-        tissue = elastic @ linear.U
-        energy, forces = float(linear.U @ tissue / 2), (linear.force, linear.mean_force)
-        found = Equilibrium(linear.U, linear.residual, tissue, energy, *forces, 1, 1)
-    else:
-        found = equilibrium(problem, U0, T, linear)
-    U = found.U
-    touching, lips = problem.contacts, np.zeros(len(U))
-    reaction = found.tissue + problem.springs @ U - problem.load
-    if touching is not None:
-        lips = touching.G.T @ np.where(touching.cut >= 0, found.force, 0.0)
-        reaction = reaction - touching.G.T @ found.force
-    if problem.means is not None:
-        reaction = reaction - problem.means.C.T @ found.mean_force
-    refuse_drift(problem, U, lips, reaction)
-    U = U.reshape(-1, 2)
+    if problem.bare is not None:
+        problem = problem.counted_from(_minimum(problem.without_blades(), elastic).found.U)
+    state = _minimum(problem, elastic)
+    found, touching, U = state.found, problem.contacts, state.found.U.reshape(-1, 2)
     triangles = _triangles(problem, U)
     refuse_flight(problem, *(triangles[name] for name in ("rest", "moved", "body")))
-    warn_of_sway(problem, linear.sway)
     loop = problem.mesh.points[problem.mesh.boundary_loops[0]]
-    by_linear = _moved(problem, triangles["rest"], triangles["part"], linear.U.reshape(-1, 2))
+    by_linear = _moved(problem, triangles["rest"], triangles["part"], state.linear.U.reshape(-1, 2))
     return Solution(
         U=U,
         residual=found.residual,
         energy=found.energy,
         **triangles,
         outline=moved_outline(loop, triangles["rest"], triangles["moved"]),
-        retractor=_forces(problem, constraints, basis.T @ reaction, U),
+        retractor=_forces(problem, state.constraints, state.basis.T @ state.reaction, U),
         contact_force=found.force,
         contact=() if touching is None else contact_forces(touching, found.force),
         min_gap_mm=None if touching is None else float((touching.G @ found.U + touching.gap).min()),
@@ -177,6 +157,46 @@ def solve(problem: Problem) -> Solution:
         added_nnz=elastic.nnz - 4 * (len(problem.mesh.points) + 2 * len(problem.mesh.edges)),
         matrix_kB=(elastic.data.nbytes + elastic.indices.nbytes + elastic.indptr.nbytes) / 1000,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """A problem's minimum, `found`, and that of its linear model; its conditions on the unknowns of `basis`; and the
+    forces (n_dof,) mN of what holds it."""
+
+    found: Equilibrium
+    linear: Minimum
+    constraints: Constraints
+    basis: csr_array
+    reaction: np.ndarray
+
+
+def _minimum(problem, elastic):
+    """The state of least energy, which what touches the skull alone must not drift from."""
+    K = (elastic + problem.springs).tocsc()
+    basis = scaled_basis(problem, K)
+    constraints = replace(problem.constraints, C=problem.constraints.C @ basis)
+    U0, T = eliminate(constraints)
+    U0, T = basis @ U0, (basis @ T).tocsc()
+    linear = minimise(
+        K, problem.load, U0, T, problem.contacts, problem.means, problem.lip_constraint != "nitsche", problem.hung
+    )
+    if problem.model == "linear":
+        tissue = elastic @ linear.U
+        energy, forces = float(linear.U @ tissue / 2), (linear.force, linear.mean_force)
+        found = Equilibrium(linear.U, linear.residual, tissue, energy, *forces, 1, 1)
+    else:
+        found = equilibrium(problem, U0, T, linear)
+    touching, lips = problem.contacts, np.zeros(len(found.U))
+    reaction = found.tissue + problem.springs @ found.U - problem.load
+    if touching is not None:
+        lips = touching.G.T @ np.where(touching.cut >= 0, found.force, 0.0)
+        reaction = reaction - touching.G.T @ found.force
+    if problem.means is not None:
+        reaction = reaction - problem.means.C.T @ found.mean_force
+    refuse_drift(problem, found.U, lips, reaction)
+    warn_of_sway(problem, linear.sway)
+    return _State(found, linear, constraints, basis, reaction)
 
 
 def scaled_basis(problem: Problem, K) -> csr_array:
@@ -233,7 +253,8 @@ def _forces(problem, constraints, reaction, U):
             total = np.asarray(retraction.force_mN_per_mm)
             normal = (q.weights * (away @ total)).sum() / q.weights.sum()
         elif problem.lip_constraint == "nitsche":
-            at, traction = nitsche_traction(space, problem.material, retraction, span, U)
+            under = problem.under if retraction.from_loads else None
+            at, traction = nitsche_traction(space, problem.material, retraction, span, U, under)
             total = at.weights @ traction
             normal = at.weights @ (retraction.side * at.normals * traction).sum(axis=1)
         else:
@@ -254,7 +275,9 @@ def _lip_error(problem, U):
             continue
         span = (span[0], min(span[1], problem.cuts[retraction.cut].length))
         points, parts, normals = _uniform(problem.space, retraction, span, 200)
-        u = problem.space.basis_in(points, parts) @ U
+        # From where the prescribed displacement counts.
+        before = problem.under.reshape(-1, 2) if problem.under is not None and retraction.from_loads else 0 * U
+        u = problem.space.basis_in(points, parts) @ (U - before)
         errors.append(np.linalg.norm(u - retraction.displacement(normals), axis=1))
     error = np.concatenate(errors)
     return {

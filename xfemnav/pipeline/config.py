@@ -196,11 +196,12 @@ def _carried(s: "Scenario", files: dict[str, Path]):
 
 def _filled(r, s: "Scenario"):
     """A blade with what was left out: the only cut, and 0 to .8 of its length. Pointwise rows then hold the whole lip
-    but the tip's cell, as the paper."""
+    but the tip's cell, as the paper. A displacement along the normal counts from where loads put the lip."""
     whole = s.solve.lip_constraint == "pointwise" and r.force_mN_per_mm is None
     cut = r.cut or s.cut[0].name
+    counts = None if r.force_mN_per_mm is not None else r.relative_to or ("rest" if r.normal_mm is None else "loads")
     return r.model_copy(update={"cut": cut, "blade": r.blade or (None if whole else BLADE),
-                                "name": r.name or f"{cut} {r.side}"})
+                                "name": r.name or f"{cut} {r.side}", "relative_to": counts})
 
 
 def _mesh_params(s: "Scenario", drawn: Drawn) -> MeshParams:
@@ -273,7 +274,8 @@ def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None, given:
         cuts=_cuts(s, drawn), later_cuts=(),
         retractions=tuple(
             RetractParams(names.index(r.cut), 1 if r.side == "left" else -1, r.displacement_mm,
-                          r.normal_mm, r.force_mN_per_mm, r.blade, known) for r, known in zip(s.retract, given)),
+                          r.normal_mm, r.force_mN_per_mm, r.blade, known, r.relative_to)
+            for r, known in zip(s.retract, given)),
         resections=tuple(ResectParams(r.name, points, space, r.labels, i if r.mask is not None else None, None)
                          for i, (r, (points, space)) in enumerate(zip(s.resect, drawn.resections))),
         min_resection_mm=s.min_resection_mm, space=s.space, young_kpa=tissue.young_kpa, poisson=tissue.poisson,

@@ -167,9 +167,9 @@ def _retraction(retract, run):
     several = len(run["parameters"]["cut"]) > 1
     lip = f"The {retract['side']} lip" + (f" of '{retract['cut']}'" if several else "")
     if retract["displacement_mm"] is not None:
-        what = "was displaced by ({:g}, {:g}) mm".format(*retract["displacement_mm"])
+        what = "was displaced by ({:g}, {:g}) mm".format(*retract["displacement_mm"]) + _from_where(retract, asked)
     elif retract["normal_mm"] is not None:
-        what = f"was displaced by {retract['normal_mm']:g} mm away from the other lip"
+        what = f"was displaced by {retract['normal_mm']:g} mm away from the other lip{_from_where(retract, asked)}"
     else:
         what = "was loaded with ({:g}, {:g}) mN per mm of thickness".format(*retract["force_mN_per_mm"])
     found = [row["blade"] for row in run["retractor"] if (row["cut"], row["side"]) == (retract["cut"], retract["side"])]
@@ -178,6 +178,14 @@ def _retraction(retract, run):
         blade = found[0]  # it ends before a tip, whatever was asked
     held = f" over {100 * blade[0]:.3g} to {100 * blade[1]:.3g} % of the cut's length from its mouth" if blade else ""
     return f"{lip} {what}{held}."
+
+
+def _from_where(retract, asked):
+    """From where a displacement counts, where anything but blades moves the lips."""
+    others = asked["load"]["gravity"] or asked["load"]["pressure"] or asked["boundary"]["displacement"]
+    if not others:
+        return ""
+    return ", from where the lip lay without blades" if retract["relative_to"] == "loads" else ", from its place at rest"
 
 
 def _lips(asked):

@@ -120,7 +120,8 @@ class MeshParams:
 
 @dataclass(frozen=True)
 class RetractParams:
-    """One blade on one lip; `cut` is an index, `side` is +1 (left) or -1 (right)."""
+    """One blade on one lip; `cut` is an index, `side` is +1 (left) or -1 (right); `relative_to`: from where its
+    displacement counts, None for a force."""
 
     cut: int
     side: int
@@ -129,6 +130,7 @@ class RetractParams:
     force_mN_per_mm: tuple[float, float] | None
     blade: tuple[float, float] | None
     blade_given: bool
+    relative_to: str | None
 
 
 @dataclass(frozen=True)

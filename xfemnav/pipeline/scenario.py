@@ -113,12 +113,17 @@ class RetractSection(Section):
     normal_mm: float | None = Field(None, description="displacement away from the other lip, mm")
     force_mN_per_mm: Vector | None = Field(None, description="force on the lip, mN per mm of thickness")
     blade: Vector | None = Field(None, description="held part of the cut: 0 at the mouth, 1 at the tip")
+    relative_to: Literal["loads", "rest"] | None = Field(
+        None, description="from where the lip's displacement counts: where it lies under all that acts but blades, or "
+                          "its preoperative place; left out: loads for normal_mm, rest for displacement_mm")
 
     @model_validator(mode="after")
     def _one_datum(self):
         given = [self.displacement_mm, self.normal_mm, self.force_mN_per_mm]
         if sum(value is not None for value in given) != 1:
             raise ValueError("give exactly one of displacement_mm, normal_mm, force_mN_per_mm")
+        if self.force_mN_per_mm is not None and self.relative_to is not None:
+            raise ValueError("relative_to is for displacement_mm and normal_mm; a force counts from nowhere")
         return self
 
     @model_validator(mode="after")

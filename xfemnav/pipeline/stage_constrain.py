@@ -23,7 +23,8 @@ def compute(params, inputs):
     outline = mesh.points[mesh.boundary_loops[0]]
     cuts = _placed(params.cuts, [_drawn_path(cut, inputs) for cut in params.cuts], outline)
     blades = tuple(Retraction(cut=r.cut, side=r.side, displacement_mm=r.displacement_mm, normal_mm=r.normal_mm,
-                              force_mN_per_mm=r.force_mN_per_mm, blade=r.blade, blade_given=r.blade_given)
+                              force_mN_per_mm=r.force_mN_per_mm, blade=r.blade, blade_given=r.blade_given,
+                              relative_to=r.relative_to)
                    for r in params.retractions)
     arcs = tuple(Arc(*_plane(slice, (arc.start, arc.end), params.space), arc.skull, arc.skull_gap_mm)
                  for arc in params.arcs)

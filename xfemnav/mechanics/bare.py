@@ -1,0 +1,60 @@
+"""A problem without its blades: where lips lie under all else that acts, from where blades' displacements may count."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from xfemnav.errors import XfemnavError
+from xfemnav.geometry.mesh import frozen_array
+from xfemnav.mechanics.constraints import Constraints, stack
+from xfemnav.mechanics.contact import join, lip_contacts
+from xfemnav.mechanics.minimise import Contacts, Means
+from xfemnav.mechanics.outline import OutlineConditions, hung
+from xfemnav.mechanics.pieces import at_rest, sort_out
+from xfemnav.mechanics.space import Space
+
+
+@dataclass(frozen=True, eq=False)
+class Bare:
+    """What takes the place of a problem's fields of these names when no blade acts; `load` (n_dof,) mN."""
+
+    constraints: Constraints
+    springs: csr_array
+    load: np.ndarray
+    contacts: Contacts | None
+    hung: csr_array | None
+    means: Means | None
+
+    def __post_init__(self):
+        object.__setattr__(self, "springs", csr_array(self.springs))
+        object.__setattr__(self, "load", frozen_array(self.load, float, (self.springs.shape[0],), "load"))
+
+
+def without_blades(space: Space, cuts, resections, outline: OutlineConditions, load, lips: str) -> Bare:
+    """The conditions on the same basis without those of blades. Pieces that only blades hold stay at their mean.
+
+    load (n_dof,) mN: that of weight and pressures. Raises XfemnavError E406 where blades alone hold the organ.
+    """
+    n_dof = space.enrichment.n_dof
+    weak = hung(space, outline.constraints, outline.springs, outline.weak)
+    springs = outline.springs if weak is None else csr_array(outline.springs + weak)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what is loose is told of with the blades
+            conditions, means, gone, _ = sort_out(space, cuts, resections, (), outline.constraints, springs, "hold")
+    except XfemnavError as error:
+        if error.code != "E406":
+            raise
+        raise XfemnavError(
+            "E406",
+            "nothing but blades holds the organ, so where their lips lie under the loads alone, from where normal_mm "
+            'counts, cannot be told; use --skull fixed, or say relative_to = "rest" of each [[retract]].',
+        ) from None
+    conditions = stack([conditions, at_rest(space.enrichment, gone)], n_dof)
+    touching = [outline.contacts]
+    if lips == "contact":
+        touching.append(lip_contacts(space, (), np.empty((0, 2)), space.subcells.removed | gone))
+    contacts = join(touching, n_dof)
+    return Bare(conditions, springs, outline.load + load, contacts if len(contacts.gap) else None, weak, means)
