@@ -140,9 +140,11 @@ def test_lips_are_judged_by_where_they_come_to_lie():
 
 
 def test_where_blades_alone_hold_the_organ_it_is_said_what_to_do():
+    """Without them it has no place; unless that was asked for, they count from rest."""
+    light = Gravity((0.006, -0.008))
     with pytest.raises(XfemnavError, match=r'E406.*relative_to = "rest"'):
-        posed(BOTH, skull=FREE)
-    solve(posed(counted(BOTH, "rest"), Gravity((0.006, -0.008)), skull=FREE))
+        posed(counted(BOTH, "loads"), light, skull=FREE)
+    assert (solve(posed(BOTH, light, skull=FREE)).U == solve(posed(counted(BOTH, "rest"), light, skull=FREE)).U).all()
 
 
 def test_a_piece_that_blades_alone_hold_counts_from_its_mean():

@@ -49,8 +49,8 @@ def without_blades(space: Space, cuts, resections, outline: OutlineConditions, l
             raise
         raise XfemnavError(
             "E406",
-            "nothing but blades holds the organ, so where their lips lie under the loads alone, from where normal_mm "
-            'counts, cannot be told; use --skull fixed, or say relative_to = "rest" of each [[retract]].',
+            "nothing but blades holds the organ, so where their lips lie under the loads alone cannot be told; use "
+            '--skull fixed, or say relative_to = "rest" of each [[retract]].',
         ) from None
     conditions = stack([conditions, at_rest(space.enrichment, gone)], n_dof)
     touching = [outline.contacts]

@@ -28,7 +28,7 @@ class Retraction:
     spread over the blade. `blade` (from, to): the part of the cut's length that is held, 0 at the mouth; None holds,
     pointwise, every crossing but the tip cell's. `blade_given`: whether the user said so, and is told if it cannot be.
     `relative_to`: displacements count from where the lip lies under all that acts but blades ('loads', by default for
-    normal_mm), or from its place at rest ('rest').
+    normal_mm, unless blades alone hold the organ), or from its place at rest ('rest').
     """
 
     cut: int

@@ -25,6 +25,7 @@ from xfemnav.mechanics.minimise import Contacts, Means
 from xfemnav.mechanics.nitsche import nitsche_load, nitsche_terms
 from xfemnav.mechanics.outline import Skull, hung, skull_conditions
 from xfemnav.mechanics.pieces import Piece, sort_out
+from xfemnav.mechanics.slivers import warn_of_slivers, warn_of_strips
 from xfemnav.mechanics.space import Space
 
 LIPS = ("contact", "free")
@@ -223,9 +224,16 @@ def pose(
     if any(r.from_loads for r in retractions) and (dead.any() or outline.load.any() or outline.constraints.d.any()):
         if boundary_displacement is not None:  # a mouth that no blade opens may be held shut
             outline = skull_conditions(space, skull, mouths, material, boundary_displacement, boundary_weight)
-        bare = without_blades(space, cuts, resections, outline, dead, lips)
-    else:  # nothing moves the lips but blades: they count from rest
+        try:
+            bare = without_blades(space, cuts, resections, outline, dead, lips)
+        except XfemnavError:  # without blades the organ has no place
+            if any(r.relative_to == "loads" for r in retractions):
+                raise
+            retractions = tuple(replace(r, relative_to="rest") for r in retractions)
+    if bare is None:
         _refuse_swapped(space, cuts, retractions, spans)
+    warn_of_strips(space, cuts, resections)
+    warn_of_slivers(space, cuts, resections, retractions, spans)
     return Problem(
         space,
         cuts,

@@ -196,12 +196,11 @@ def _carried(s: "Scenario", files: dict[str, Path]):
 
 def _filled(r, s: "Scenario"):
     """A blade with what was left out: the only cut, and 0 to .8 of its length. Pointwise rows then hold the whole lip
-    but the tip's cell, as the paper. A displacement along the normal counts from where loads put the lip."""
+    but the tip's cell, as the paper."""
     whole = s.solve.lip_constraint == "pointwise" and r.force_mN_per_mm is None
     cut = r.cut or s.cut[0].name
-    counts = None if r.force_mN_per_mm is not None else r.relative_to or ("rest" if r.normal_mm is None else "loads")
     return r.model_copy(update={"cut": cut, "blade": r.blade or (None if whole else BLADE),
-                                "name": r.name or f"{cut} {r.side}", "relative_to": counts})
+                                "name": r.name or f"{cut} {r.side}"})
 
 
 def _mesh_params(s: "Scenario", drawn: Drawn) -> MeshParams:

@@ -185,7 +185,9 @@ def _from_where(retract, asked):
     others = asked["load"]["gravity"] or asked["load"]["pressure"] or asked["boundary"]["displacement"]
     if not others:
         return ""
-    return ", from where the lip lay without blades" if retract["relative_to"] == "loads" else ", from its place at rest"
+    counts = retract["relative_to"] or ("rest" if retract["normal_mm"] is None else "loads")
+    where = "where the lip lay without blades" if counts == "loads" else "its place at rest"
+    return f", from {where}"
 
 
 def _lips(asked):

@@ -121,7 +121,7 @@ class MeshParams:
 @dataclass(frozen=True)
 class RetractParams:
     """One blade on one lip; `cut` is an index, `side` is +1 (left) or -1 (right); `relative_to`: from where its
-    displacement counts, None for a force."""
+    displacement counts, None for the mechanics' own choice."""
 
     cut: int
     side: int
