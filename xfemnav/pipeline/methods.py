@@ -164,8 +164,8 @@ def _outline(asked):
 
 
 def _retraction(retract, run):
-    several = len(run["parameters"]["cut"]) > 1
-    lip = f"The {retract['side']} lip" + (f" of '{retract['cut']}'" if several else "")
+    asked = run["parameters"]
+    lip = f"The {retract['side']} lip" + (f" of '{retract['cut']}'" if len(asked["cut"]) > 1 else "")
     if retract["displacement_mm"] is not None:
         what = "was displaced by ({:g}, {:g}) mm".format(*retract["displacement_mm"]) + _from_where(retract, asked)
     elif retract["normal_mm"] is not None:

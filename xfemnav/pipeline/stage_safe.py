@@ -103,9 +103,10 @@ def _asked(part, blades, parameters):
 def _flags(part, blades):
     """Flags for a part of the data of blades on the first cut; None where there are none."""
     normals = [blade["normal_mm"] for blade in blades]
-    if len(normals) == 2 and normals[0] == normals[1] and normals[0] is not None:
+    default = all(blade["relative_to"] is None for blade in blades)
+    if len(normals) == 2 and normals[0] == normals[1] and normals[0] is not None and default:
         return [f"--opening-mm {_numbers(2 * normals[0], part)}"]
-    if any(normal is not None for normal in normals):
+    if any(normal is not None for normal in normals) or not default:
         return None
     return [f"--{blade['side']}={_numbers(blade['displacement_mm'], part)}" if blade["force_mN_per_mm"] is None else
             f"--lip-force {blade['side']}={_numbers(blade['force_mN_per_mm'], part)}" for blade in blades]
