@@ -12,6 +12,7 @@ from pathlib import Path
 import click
 
 from xfemnav.errors import EXIT_OK, EXIT_SOME_FAILED, EXIT_UNTRUSTED
+from xfemnav.interruption import ENDING
 from xfemnav_cli.telling import printable, say
 
 IMAGE_SUFFIXES = (".nii.gz", ".nii", ".mgz", ".mgh", ".nrrd", ".nhdr", ".mha", ".mhd")
@@ -104,7 +105,8 @@ def batch(source: Path, target: Path, jobs: int):
     items = find_items(source, target)
     if not items:
         raise click.UsageError(f"{printable(str(source))} holds no <stem>.toml of a <stem>.nii.gz or .nii.")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
+    for signum in ENDING:  # raise at once: the running slices must end
+        signal.signal(signum, signal.default_int_handler)
     outcomes = run_items(items, jobs)
     say("")
     say("slice                    result     stages             message")

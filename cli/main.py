@@ -12,6 +12,7 @@ import click
 
 from xfemnav import __version__
 from xfemnav.errors import EXIT_BUG, EXIT_DATA, EXIT_OK, EXIT_UNTRUSTED, EXIT_USAGE, FAULTS, XfemnavError
+from xfemnav.interruption import Interrupted, checkpoint, note_signals
 from xfemnav_cli import batch, run, telling, tools
 from xfemnav_cli.telling import complain, printable
 
@@ -32,6 +33,7 @@ for command in (run.run, *run.stage_commands, run.demo, batch.batch, tools.check
 
 def main(argv: list[str] | None = None) -> None:
     """Run the command line and leave the process with its exit code."""
+    note_signals()
     _open_standard_streams()
     # Imports make hundreds of thousands of objects that stay: searching them for cycles again and again costs .2 s,
     # and once more when the interpreter ends as much again.
@@ -41,6 +43,7 @@ def main(argv: list[str] | None = None) -> None:
     traced = "-vv" in argv
     try:
         code = cli.main(argv, prog_name="xfemnav", standalone_mode=False) or 0
+        checkpoint()
     except click.UsageError as error:
         text = io.StringIO()
         error.show(text)
@@ -54,7 +57,9 @@ def main(argv: list[str] | None = None) -> None:
             traceback.print_exc()
         complain(str(error))
         code = error.exit_code or EXIT_DATA
-    except (KeyboardInterrupt, click.Abort):
+    except Interrupted as error:
+        code = 128 + error.signum
+    except (KeyboardInterrupt, click.Abort):  # of a command that has handlers of its own
         code = 130
     except MemoryError as error:
         complain(f"E800 not enough memory ({error}): use larger elements (--element-size-mm), a smaller image, or a "

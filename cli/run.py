@@ -3,12 +3,12 @@
 import os
 import signal
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
 
 from xfemnav.errors import EXIT_UNTRUSTED, XfemnavError
+from xfemnav.interruption import checkpoint, forget
 from xfemnav_cli.telling import Teller, complain, give_up
 
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
@@ -190,9 +190,10 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         )
         if dry_run:
             return _plan(job.plan(config, options), teller)
-        with _signals_raise():
-            told = job.Listener(teller.started, teller.finished, teller.waiting, teller.compiling, teller.failed)
-            record = job.run(config, options, told)
+        checkpoint()
+        record = job.run(config, options, job.Listener(teller.started, teller.finished, teller.waiting,
+                                                       teller.compiling, teller.failed))
+        forget()  # a signal that comes now ends nothing
     except (XfemnavError, job.Interrupted) as error:
         if as_json:
             teller.json({"schema": job.SCHEMA} | job.failure(error))
@@ -213,24 +214,6 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
     if record["exit_code"] == EXIT_UNTRUSTED:
         complain(f"{record['error']['code']} {record['error']['text']}")
     return record["exit_code"]
-
-
-@contextmanager
-def _signals_raise():
-    """Within the block, the first SIGINT, SIGTERM or SIGHUP raises Interrupted, and more of them are ignored."""
-    from xfemnav.pipeline.job import Interrupted
-
-    def interrupt(signum, frame):
-        for each in earlier:
-            signal.signal(each, signal.SIG_IGN)  # one is enough: cleaning up takes milliseconds
-        raise Interrupted(signum)
-
-    earlier = {signum: signal.signal(signum, interrupt) for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
-        yield
-    finally:
-        for signum, handler in earlier.items():
-            signal.signal(signum, handler)
 
 
 def _plan(rows, teller: Teller) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from xfemnav.errors import EXIT_CONFIG, EXIT_DATA, EXIT_SOME_FAILED, EXIT_UNTRUSTED, XfemnavError
+from xfemnav.interruption import checkpoint
 from xfemnav_cli.telling import complain, put, say
 
 FILE = click.Path(path_type=Path)
@@ -76,6 +77,7 @@ def apply(folder, files, output, step, force, **choices):
     result = Result.load(folder, step)
     kept, failed = set(files), []
     for path in files:
+        checkpoint()
         try:
             done = apply_to(result, path, output, Choices(**choices), step=step, force=force, kept=frozenset(kept))
         except XfemnavError as error:
@@ -104,6 +106,7 @@ def doctor(root):
     code = 0
     for found in examine(root or default_cache()):
         say(found.line)
+        checkpoint()
         code = code or found.exit_code
     return code
 

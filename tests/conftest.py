@@ -5,15 +5,26 @@ Kernels are those of the code as it is: numba alone would not see a change in a 
 
 import locale
 import os
+import signal
 
 import pytest
 from hypothesis import settings
 
+from xfemnav.interruption import ENDING
 from xfemnav.pipeline.kernels import settle_kernel_cache
 
 settle_kernel_cache()  # before kernels are imported
 settings.register_profile("steady", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
+
+
+@pytest.fixture(autouse=True)
+def same_handlers():
+    """The command notes signals from its first line on; the test program that runs it in its own process must not."""
+    before = {signum: signal.getsignal(signum) for signum in ENDING}
+    yield
+    for signum, handler in before.items():
+        signal.signal(signum, handler)
 
 
 @pytest.fixture(autouse=True)

@@ -18,6 +18,7 @@ from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.outline_nodes import Rail, outline_nodes, rail_nodes, strays
 from xfemnav.geometry.relaxation import lift_worst, mean_quality, truss
 from xfemnav.geometry.sizing import cones, sample_inside
+from xfemnav.interruption import checkpoint
 
 MOST_NODES, FEWEST_NODES = 400_000, 12
 TURN = np.radians(15)  # rows of the lattice of nodes are 15 degrees or more from both axes, along which many cuts run
@@ -48,6 +49,7 @@ def distmesh(outline, size: float | Callable, *, min_quality: float = 0.5) -> Me
     wanted = size if callable(size) else (lambda points: np.full(len(points), float(size)))
     spots, finer = np.empty((0, 3)), 1.0
     for _ in range(ROUNDS):
+        checkpoint()
         size_at = _lowered(wanted, finer, spots)
         T, rail, details = _outline_triangulation(outline, size_at)
         if len(details) == 0:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
+from xfemnav.interruption import checkpoint
 from xfemnav.mechanics import neo_hookean
 from xfemnav.mechanics.minimise import CONTRADICTION_MM, RESIDUAL_LIMIT, Minimum, minimise, without_means
 from xfemnav.mechanics.problem import Problem
@@ -191,6 +192,7 @@ def _newton(organ, T, U, size):
     contacts = organ.problem.contacts
     force, residual = np.zeros(0 if contacts is None else len(contacts.gap)), np.inf
     for iterations in range(MOST_ITERATIONS * organ.admits(U)):
+        checkpoint()
         towards = _newton_step(organ, T, U, U)
         force, before, U = towards.force, U, _descended(organ, U, towards.U - U)
         slope = organ.slope(U) if contacts is None else organ.slope(U) - contacts.G.T @ force

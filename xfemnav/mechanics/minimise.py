@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.interruption import checkpoint
 from xfemnav.limits import RESIDUAL
 from xfemnav.mechanics.factor import NotPositiveDefinite, factor
 
@@ -222,6 +223,7 @@ def pressed(lu, A, b, q, G, gap):
     scale = 1 / np.sqrt(np.diag(give))
     S = (give + give.T) / 2 * scale[:, None] * scale
     for n in range(ROUNDS):
+        checkpoint()
         before, force = force, scale * _complementary(S, force / scale, opening * scale, TOUCH_MM * scale)
         # The first forces may bring back what a load on weak springs has carried far away; then only what changes
         # counts, as the rounding of all would move it again.

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
+from xfemnav.interruption import checkpoint
 from xfemnav.pipeline.cache import Cache, Entry
 from xfemnav.pipeline.config import STAGES as ORDER
 from xfemnav.pipeline.config import Config
@@ -150,6 +151,7 @@ class Chain:
     def read_inputs(self) -> None:
         """Digest every input file; an image is decoded only when its bytes have not been seen before."""
         for role, path in self.inputs.files.items():
+            checkpoint()
             with recorded() as caught:
                 facts, noted = self._facts(role, path)
             self.input_facts[role] = facts
@@ -243,7 +245,9 @@ class Chain:
     def _stage(self, stage: Stage, params, force: bool) -> Done:
         def build(folder: Path) -> None:
             with self.computing(stage.name), recorded() as caught:
+                checkpoint()
                 value = stage.code.compute(params, self.inputs)
+                checkpoint()
                 facts = stage.code.facts(value, self.inputs)
             if value is not None and stage.kept:
                 from xfemnav.pipeline.store import save

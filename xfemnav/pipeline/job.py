@@ -11,6 +11,7 @@ from pathlib import Path
 
 from xfemnav import __version__
 from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
+from xfemnav.interruption import Interrupted, checkpoint
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import STEPWISE, Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
@@ -19,14 +20,6 @@ from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 from xfemnav.pipeline.stage_safe import told
 from xfemnav.pipeline.verdicts import doubts, reasons, stillness, verdicts
-
-
-class Interrupted(BaseException):
-    """SIGINT, SIGTERM or SIGHUP arrived; `signum` is its number."""
-
-    def __init__(self, signum: int):
-        super().__init__(f"interrupted by signal {signum}")
-        self.signum = signum
 
 
 @dataclass(frozen=True)
@@ -135,6 +128,7 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
         record["outputs"] = folder.names(files | {"report": (Path("report.html"), "")})
         figures = {role: path for role, (path, _) in files.items() if role.partition(":")[0] == "figure"}
         files["report"] = _page(chain, record, figures)
+    checkpoint()
     record["outputs"] = folder.publish(files, record, _sidecars(chain))
     folder.write_record(record)
     return record

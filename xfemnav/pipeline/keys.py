@@ -16,7 +16,8 @@ from xfemnav.pipeline.layers import reach
 PACKAGE = Path(__file__).parents[1]
 DATA = (".html", ".json")  # files of the package that its code renders or reads
 # Every stage runs through these, whatever its layer.
-COMMON_CODE = ("errors.py", "limits.py", "pipeline/stage.py", "pipeline/store.py", "pipeline/files.py")
+COMMON_CODE = ("errors.py", "interruption.py", "limits.py", *(f"pipeline/{part}.py" for part in ("stage", "store",
+                                                                                               "files")))
 
 
 def plain(value):

@@ -11,7 +11,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "pipeline": ("geometry", "mechanics", "imaging"),
     "cli": ("pipeline",),
 }
-"""Layer -> the other layers it may import. `xfemnav.errors` and `xfemnav.limits` are open to all."""
+"""Layer -> the other layers it may import. `xfemnav.errors`, `limits` and `interruption` are open to all."""
 
 
 def reach(layer: str) -> tuple[str, ...]:

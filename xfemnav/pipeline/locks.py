@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
+from xfemnav.interruption import checkpoint
 from xfemnav.pipeline.disk import writing
 
 LIMIT_S = 600.0
@@ -45,4 +46,5 @@ def _take(handle: int, path: Path, kind: int, waiting: Callable[[], None], limit
         if not told:
             waiting()
             told = True
+        checkpoint()
         time.sleep(0.05)

@@ -3,6 +3,8 @@
 No later stage reads its value, so that is written as files and not kept beside them.
 """
 
+from xfemnav.interruption import checkpoint
+
 
 def compute(params, inputs):
     """The image of each companion after the motion, by its number; landmarks and streamlines are files alone."""
@@ -31,6 +33,7 @@ def publish(value, inputs, folder):
     from xfemnav.pipeline.files import write_nifti
 
     for number, item in enumerate(inputs.config.carry.companions):
+        checkpoint()
         if number in value:
             write_nifti(folder / f"carry-{number}.nii.gz", value[number])
         else:
