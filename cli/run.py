@@ -104,7 +104,11 @@ CARRIED = (
                  help="Order of a tensor's components.  [as the file states, else fsl]"),
     click.option("--points", multiple=True, type=FILE, metavar="FILE",
                  help="Landmarks to move: .mrk.json, .fcsv, .csv, .tag; repeat."),
-    click.option("--streamlines", multiple=True, type=FILE, metavar="FILE", help="Tractogram to move: .trk, .tck."),
+    click.option("--streamlines", multiple=True, type=FILE, metavar="FILE",
+                 help="Tractogram to move: .trk, .trk.gz, .tck; repeat."),
+    click.option("--surfaces", multiple=True, type=FILE, metavar="FILE",
+                 help="Surface to move: .stl, .vtk, .vtp, .gii, .obj, .ply; --space is that of one that does not say "
+                      "its own; repeat."),
 )
 RUNNING = (
     click.option("-o", "--output", type=FILE, metavar="DIR", help="Output folder.  [./<stem>_xfemnav]"),

@@ -62,12 +62,15 @@ def schema(which):
               help="Which frame of a NIfTI header with two is taken.  [that of the run]")
 @click.option("--side", type=click.Choice(["left", "right"]), help="The lip for points on a cut.  [both]")
 @click.option("--inverse", is_flag=True, help="Points of now back to the preoperative image.")
+@click.option("--space", type=click.Choice(["ras", "lps"]),
+              help="Frame of surfaces that do not say their own.  [the run's]")
 @click.option("--step", metavar="NAME", help="After this step of the run.  [the last]")
 @click.option("--force", is_flag=True, help="Replace existing files; never inputs, nor the run's.")
 def apply(folder, files, output, step, force, **choices):
-    """Apply the finished run in the folder RUN to images, landmarks and streamlines of the preoperative patient.
+    """Apply the finished run in the folder RUN to what else there is of the preoperative patient.
 
-    Images (any format and grid), .mrk.json, .fcsv, .csv, .tag, .trk and .tck. Each file is written whole or not at all,
+    Images (any format and grid), landmarks (.mrk.json, .fcsv, .csv, .tag), streamlines (.trk, .trk.gz, .tck) and
+    surfaces (.stl, .vtk, .vtp, .gii, .obj, .ply). Each file is written whole or not at all,
     and one that fails stops no other. Exit status 1 if some of several failed.
     """
     from xfemnav.pipeline.apply import Choices

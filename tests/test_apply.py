@@ -1,5 +1,6 @@
 """A finished run applied to what comes later: as the run itself would have carried it, never over what is there."""
 
+import gzip
 import json
 import os
 import shutil
@@ -14,6 +15,8 @@ from small import CUT, QUICK, brain, write, xfemnav
 import xfemnav as package
 from xfemnav.imaging.point_files import read_points, write_points
 from xfemnav.imaging.points import PointSet
+from xfemnav.imaging.stl import FACET
+from xfemnav.imaging.surface_files import read_surface
 from xfemnav.pipeline.apply import Choices, apply, output_name
 
 POINTS = np.array([[5.0, 5.0, 10.0], [-25.0, 20.0, 12.0], [300.0, 0.0, 10.0]])
@@ -29,6 +32,20 @@ def write_tracts(path):
     return path
 
 
+def ball(title, signs):
+    """A binary STL of triangles about (-25, 10, 11) RAS mm, through which the cut goes; its points have these signs."""
+    unit = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1.0]])
+    faces = unit[[[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]]
+    for _ in range(3):
+        a, b, c = faces.swapaxes(0, 1)
+        ab, bc, ca = (x / np.linalg.norm(x, axis=1)[:, None] for x in (a + b, b + c, c + a))
+        parts = (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)
+        faces = np.concatenate([np.stack(part, 1) for part in parts])
+    facets = np.zeros(len(faces), FACET)
+    facets["corners"] = (np.array([-25.0, 10, 11]) + 12 * faces) * signs
+    return title.ljust(80) + len(faces).to_bytes(4, "little") + facets.tobytes()
+
+
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     """A folder of inputs, and `out`, a run that carried all of them along."""
@@ -42,11 +59,15 @@ def home(tmp_path_factory):
     write_points(home / "marks.csv", PointSet("points", "marks", POINTS, LABELS, {"who": ("a", "b", "c")}))
     write_tracts(home / "tracts.trk")
     write_tracts(home / "tracts.tck")
+    (home / "packed.trk.gz").write_bytes(gzip.compress((home / "tracts.trk").read_bytes()))
+    (home / "tumour.stl").write_bytes(ball(b"3D Slicer output. SPACE=LPS", [-1, -1, 1]))
+    (home / "lesion.stl").write_bytes(ball(b"no frame", [-1, -1, 1]))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         package.run(home / "head.nii.gz", cut=CUT, opening_mm=4.0, element_size_mm=8.0, corridor_element_mm=4.0,
                     companion=(str(home / "t2.nii.gz"), f"label={home / 'labels.nii.gz'}"),
                     points=(str(home / "marks.csv"),), streamlines=(str(home / "tracts.trk"),),
+                    surfaces=(str(home / "tumour.stl"),),
                     report=False, output=home / "out", cache=home / "cache")
     return home
 
@@ -76,6 +97,57 @@ def test_what_is_applied_is_what_the_run_carried(home, result, tmp_path):
     wanted = nib.streamlines.load(carried["streamlines"])
     assert len(made.streamlines) == len(wanted.streamlines) > 4    # one is split at the cut
     assert abs(made.streamlines.get_data() - wanted.streamlines.get_data()).max() < 1e-4
+    packed = apply(result, home / "packed.trk.gz", tmp_path)
+    assert packed.target.name == "packed_desc-updated_streamlines.trk.gz"
+    plain = tmp_path / "tracts_desc-updated_streamlines.trk"
+    assert gzip.decompress(packed.target.read_bytes()) == plain.read_bytes()
+    moved = apply(result, home / "tumour.stl", tmp_path)
+    assert moved.target.read_bytes() == carried["surfaces"].read_bytes()
+    (table,) = result.record["surfaces"]
+    assert (table["file"], table["frame"], table["faces"]) == ("tumour.stl", "LPS as the file says", 512)
+    assert 20 < table["left_out_on_a_cut"] < 200 and table["n"] == table["tissue"] + table["outside"] == 258
+    assert f"left out {table['left_out_on_a_cut']} on a cut" in moved.text and not moved.warnings
+
+
+def test_a_surface_moves_as_its_tissue_in_its_own_frame(home, result, tmp_path):
+    for name, choices, frame in (("tumour.stl", Choices(), "LPS as the file says"),
+                                 ("lesion.stl", Choices(space="lps"), "LPS as --space says")):
+        done = apply(result, home / name, tmp_path, choices)
+        assert frame in done.text
+        before, after = read_surface(home / name, space="lps"), read_surface(done.target, space="lps")
+        rest = before.points[np.unique(before.corners)]
+        now = after.points[np.unique(after.corners)]
+        wanted = result.to_current(rest)
+        gap = np.linalg.norm(now[:, None] - np.where(np.isfinite(wanted), wanted, rest)[None], axis=2).min(axis=1)
+        assert gap.max() < 1e-4 and done.target.read_bytes()[:80] == (home / name).read_bytes()[:80]
+    wrong = apply(result, home / "lesion.stl", tmp_path / "ras")    # the run's own space is RAS
+    assert "RAS as --space says" in wrong.text
+
+
+def test_what_is_not_carried_is_told_what_is(home, result, tmp_path, capfd):
+    others = {"a.trx": b"PK\3\4", "a.pdf": b"%PDF", "a.vtu": b"<VTKFile/>", "lh.pial": b"\xff\xff\xfe"}
+    for name, content in others.items():
+        (tmp_path / name).write_bytes(content)
+        code, _, err = xfemnav(capfd, "apply", home / "out", tmp_path / name, "-o", tmp_path)
+        assert code == 66 or code == 65
+        assert all(ending in err for ending in ("NIfTI", ".mrk.json", ".trk.gz", ".vtp", "E106"))
+    (tmp_path / "a.trk").write_bytes(b"PK\3\4")
+    code, _, err = xfemnav(capfd, "apply", home / "out", tmp_path / "a.trk", "-o", tmp_path)
+    assert code == 65 and "E701" in err and ".trk.gz" in err
+
+
+def test_no_file_that_nobody_claims_is_overwritten(home, tmp_path):
+    """Also not by what is named after a carried file, whose ending is its own."""
+    out = tmp_path / "out"
+    for flag, name in (("streamlines", "tracts.tck"), ("surfaces", "tumour.stl"), ("points", "marks.tag")):
+        out.mkdir(exist_ok=True)
+        mine = out / f"head_desc-updated_{flag}{(home / name).suffix}"
+        mine.write_text("mine")
+        with pytest.raises(package.XfemnavError, match="E731"):
+            package.run(home / "head.nii.gz", cut=CUT, opening_mm=4.0, element_size_mm=8.0, corridor_element_mm=4.0,
+                        report=False, output=out, cache=home / "cache", **{flag: (str(home / name),)})
+        assert mine.read_text() == "mine"
+        mine.unlink()
 
 
 def test_names_are_those_of_a_run(tmp_path):
@@ -83,6 +155,8 @@ def test_names_are_those_of_a_run(tmp_path):
         "head.nii.gz": "head_desc-updated.nii.gz", "sub-01_bold.nrrd": "sub-01_desc-updated_bold.nii.gz",
         "a.mrk.json": "a_desc-updated_points.mrk.json", "a.json": "a_desc-updated_points.mrk.json",
         "a.fcsv": "a_desc-updated_points.fcsv", "t.TRK": "t_desc-updated_streamlines.trk",
+        "t.trk.gz": "t_desc-updated_streamlines.trk.gz", "tumour.STL": "tumour_desc-updated_surfaces.stl",
+        "sub-01_hemi-L_pial.surf.gii": "sub-01_hemi-L_desc-updated_pial.surf.gii",
     }
     assert {name: output_name(tmp_path / name) for name in table} == table
     assert output_name(tmp_path / "a_desc-updated_points.tag", inverse=True) == (
@@ -149,7 +223,7 @@ def test_all_or_nothing(home, result, tmp_path, monkeypatch):
 
 
 def test_inverse_is_for_points(home, result, tmp_path):
-    for name in ("head.nii.gz", "tracts.tck"):
+    for name in ("head.nii.gz", "tracts.tck", "tumour.stl"):
         with pytest.raises(package.XfemnavError, match=r"E780.*--inverse"):
             apply(result, home / name, tmp_path, Choices(inverse=True))
 

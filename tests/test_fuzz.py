@@ -143,6 +143,21 @@ def test_any_key_anywhere_in_a_scenario(tables, start):
     fed("scenario", "\n".join(lines).encode("utf-8", "surrogatepass"))
 
 
+PIECES = [b"", b"\xff", bytes(4), b"\xff\xff\xff\x7f", b"9", b"-1 ", b"99999999 ", b"nan ", b"<", b"\n", b'"',
+          b"1e308 ", b"=", b"3 "]
+
+
+@settings(max_examples=400, deadline=HANG)
+@given(seed=st.sampled_from(range(len(seeds("surface")))),
+       places=st.lists(st.tuples(st.floats(0, 1), st.sampled_from(PIECES), st.integers(0, 9)), max_size=4))
+def test_any_bytes_anywhere_in_a_surface(seed, places):
+    content = seeds("surface")[seed]
+    for part, put, length in places:
+        at = 1 + int(part * (len(content) - 1))
+        content = content[:at] + put + content[at + length:]
+    fed("surface", content)
+
+
 @pytest.mark.parametrize("name", TARGETS)
 def test_targets_take_what_is_right(name):
     """A fuzzer that begins with what is refused at the door never comes to the rooms behind it."""

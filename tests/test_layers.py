@@ -27,7 +27,7 @@ HOMES = {
     "skimage": {"imaging"},
     "pydicom": {"imaging"},
     "h5py": {"imaging"},
-    "meshio": {"pipeline"},
+    "meshio": {"pipeline", "imaging"},  # imaging: the self-test of surfaces alone, which other programs must read
     "matplotlib": {"pipeline"},
     "jinja2": {"pipeline"},
     "pydantic": {"pipeline"},

@@ -61,6 +61,7 @@ SHRUNK_VECTORS = Limit(5.0, "%", "the organ's interpolated vectors that are shor
 # Share of neighbouring whole numbers that are equal: .97 to .99 in label maps at 1 mm, up to .2 in T1 and CT.
 CONTINUOUS_ALIKE = Limit(0.3, "", "equal neighbours in an image that is taken as continuous; more is asked for (E131)")
 LABELS_ALIKE = Limit(0.5, "", "the smallest share of equal neighbours in an image that is taken as labels")
+PARTED = Limit(1.0, "mm", "motion of the outline beside a surface's point outside of it; faces across are left out")
 
 # A strip of 23 mm between cut and outline, pushed sideways: 2.5 elements across are 28 % too stiff, 3 are 19 %.
 STRIP_ELEMENTS = Limit(3.0, "elements", "smallest width of a strip of tissue between lips, walls and outline (W306)")

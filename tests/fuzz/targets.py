@@ -20,11 +20,15 @@ from pydicom.uid import (
     RLELossless,
 )
 
+from tests.fuzz import surface_seeds
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
 from xfemnav.imaging.point_files import read_control_points, read_points
 from xfemnav.imaging.points import FARTHEST
 from xfemnav.imaging.reading import content_digest, read_image
 from xfemnav.imaging.slices import PLANES, take_slice, to_nifti
+from xfemnav.imaging.surface_files import decoded_surface
+from xfemnav.imaging.tract_files import decoded_streamlines, tract_bytes, tract_ending
+from xfemnav.imaging.vtk_grid import grid
 from xfemnav.pipeline.config import configure, scenario_problems
 from xfemnav.pipeline.scenario import Scenario
 from xfemnav_cli.telling import printable
@@ -94,6 +98,29 @@ def markups(data: bytes) -> bool:
     assert stored is None or abs(stored.points).max() <= FARTHEST
     assert drawn is None or stored is not None
     return drawn is not None
+
+
+def surface(data: bytes) -> bool:
+    """Whether `data` are read as a surface, or a mesh or tractogram; their first byte says of which kind, and what is
+    read comes back as it was."""
+    name, content = KINDS[data[0] % len(KINDS)] if data else KINDS[0], data[1:]
+    if name.endswith(".vtu"):
+        return refused_or(grid, content, name, ("displacement",)) is not None
+    if name.endswith((".trk", ".tck", ".gz")):
+        file = refused_or(decoded_streamlines, content, name)
+        if file is None:
+            return False
+        again = decoded_streamlines(tract_bytes(file, tract_ending(name)), name)
+        assert len(again.streamlines) == len(file.streamlines)
+        return True
+    found = refused_or(decoded_surface, content, name)
+    if found is None:
+        return False
+    assert abs(found.points).max() <= FARTHEST + 1e3 and len(found.corners) == found.count.sum()
+    again = decoded_surface(found.written(found.points, np.ones(len(found.count), bool)), name)
+    np.testing.assert_allclose(again.points, found.points, rtol=1e-4, atol=1e-4)
+    assert np.array_equal(again.count, found.count)
+    return True
 
 
 def scenario(data: bytes) -> bool:
@@ -201,8 +228,27 @@ def _scenario_seeds() -> list[bytes]:
                                        head + '[boundary]\ndisplacement = "surface.csv"\n')]
 
 
-TARGETS = {"nifti": nifti, "dicom": dicom, "markups": markups, "scenario": scenario}
-SEEDS = {"nifti": _nifti_seeds, "dicom": _dicom_seeds, "markups": _markups_seeds, "scenario": _scenario_seeds}
+def _surface_seeds() -> list[bytes]:
+    lines = [np.arange(9, dtype=np.float32).reshape(3, 3), np.ones((2, 3), np.float32)]
+    tracts = nibabel.streamlines.Tractogram(lines, affine_to_rasmm=np.eye(4))
+    found = [(f".{name.rpartition('.')[2]}", content) for name, content in surface_seeds.SEEDS.items()]
+    found.append((".vtu", b"""<VTKFile type="UnstructuredGrid"><UnstructuredGrid>
+<Piece NumberOfPoints="3" NumberOfCells="1"><Points>
+<DataArray type="Float64" NumberOfComponents="3">0 0 0 1 0 0 0 1 0</DataArray></Points><Cells>
+<DataArray type="Int64" Name="connectivity">0 1 2</DataArray><DataArray type="Int64" Name="offsets">3</DataArray>
+<DataArray type="UInt8" Name="types">5</DataArray></Cells></Piece></UnstructuredGrid></VTKFile>"""))
+    for kind, ending in ((nibabel.streamlines.TrkFile, ".trk"), (nibabel.streamlines.TckFile, ".tck")):
+        kind(tracts).save(stream := io.BytesIO())
+        found.append((ending, stream.getvalue()))
+    found.append((".trk.gz", gzip.compress(found[-2][1], mtime=0)))
+    return [bytes([KINDS.index(f"a{ending}")]) + content for ending, content in found]
+
+
+#: Names of files that the target of surfaces takes.
+KINDS = [f"a{ending}" for ending in (".stl", ".vtk", ".vtp", ".gii", ".obj", ".ply", ".vtu", ".trk", ".tck", ".trk.gz")]
+TARGETS = {"nifti": nifti, "dicom": dicom, "markups": markups, "scenario": scenario, "surface": surface}
+SEEDS = {"nifti": _nifti_seeds, "dicom": _dicom_seeds, "markups": _markups_seeds, "scenario": _scenario_seeds,
+         "surface": _surface_seeds}
 
 _KEPT = tempfile.TemporaryDirectory(prefix="xfemnav-fuzz-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None)
 FOLDER = Path(_KEPT.name)

@@ -1,4 +1,7 @@
-"""Bytes of files and folders: bounded, read once, unpacked to the end of their checksums, and their digests."""
+"""Bytes of files and folders: bounded, read once, unpacked to the end of their checksums, and their digests.
+
+What libraries that decode them warn of goes no further than `silenced`.
+"""
 
 import codecs
 import gzip
@@ -7,15 +10,19 @@ import io
 import math
 import os
 import stat
+import warnings
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from xfemnav.errors import XfemnavError
+from xfemnav.errors import XfemnavError, XfemnavWarning
 
 CHUNK = 1 << 22
 FILES = 20_000  # in a folder
 GZIP_MAGIC = b"\x1f\x8b"
+# Points pack to no less than a hundredth of their size: what unpacks to more, small files aside, is to fill memory.
+TIMES, SMALL = 100, 1 << 24
 
 
 def file_bytes(path, limit: int) -> bytes:
@@ -30,7 +37,7 @@ def file_bytes(path, limit: int) -> bytes:
     try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
-            raise XfemnavError("E106", f"{path} is a pipe or device, not a file; give an image file (.nii.gz).")
+            raise XfemnavError("E106", f"{path} is a pipe, a device or a folder, not a file. Give a file.")
         if status.st_size == 0:
             raise XfemnavError("E106", f"{name} is empty (0 bytes); copy it again.")
         if status.st_size > limit:
@@ -168,6 +175,38 @@ class Forwards:
     @property
     def _start(self) -> int:
         return self._end - len(self._kept)
+
+
+def unpacked_limit(n_packed: int, limit: int) -> int:
+    """Most bytes that a file of points of `n_packed` bytes may unpack to; never over `limit`."""
+    return min(limit, max(SMALL, TIMES * n_packed))
+
+
+def unpacked(packed: bytes, name: str, limit: int) -> bytes:
+    """The content of a file of points, gunzipped to its checksum where it is gzip. Raises E101, E102."""
+    if not packed.startswith(GZIP_MAGIC):
+        return packed
+    most = unpacked_limit(len(packed), limit)
+    data = read(gzip.GzipFile(fileobj=io.BytesIO(packed)), most + 1, name)
+    if len(data) > most:
+        raise XfemnavError("E102", f"{name} unpacks to more than {size(most)} from {size(len(packed))}, which points "
+                                   "do not. Check where it comes from.")
+    return data
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Within, libraries warn nobody: what they find doubtful is for their caller to see in the file, and to say with a
+    code. Coded warnings pass."""
+    said = []
+    try:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            yield
+    finally:
+        for item in said:
+            if isinstance(item.message, XfemnavWarning):
+                warnings.warn_explicit(item.message, item.category, item.filename, item.lineno)
 
 
 def parts_digest(parts: dict[str, bytes]) -> str:

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from xfemnav.errors import warn
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.locate import LIP, TOUCH
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.imaging.points import frame_suspicion
 from xfemnav.imaging.slices import Slice
 
 TISSUE, ON_A_CUT, RESECTED, IN_THE_CUT, OUTSIDE = "tissue", "on a cut", "resected", "in the cut", "outside"
@@ -66,6 +68,26 @@ def resting_points(points, frame: Slice, motion: PiecewiseAffineMap, outline) ->
     inside = shapely.contains_xy(shapely.Polygon(outline).buffer(0), plane)
     flag = np.select([np.isfinite(moved[:, 0]), inside], [TISSUE, IN_THE_CUT], OUTSIDE)
     return _result(points, frame, moved, np.full((len(plane), 2, 2), np.nan), distance, flag)
+
+
+def warn_of_frame(points, name: str, frame: Slice, outline, mend: str) -> None:
+    """W131 where `points` (n, 3) RAS mm of a file seem to count in another frame.
+
+    `outline` (k, 2) mm: that of the organ at rest. `mend` says how the frame is set right.
+    """
+    organ = shapely.Polygon(outline)
+    suspicion = frame_suspicion(points, lambda world: shapely.contains_xy(organ, frame.from_world(world)[0]))
+    if suspicion:
+        warn("W131", f"{name}: {suspicion} {mend}")
+
+
+def warn_of_slice(points, name: str, frame: Slice) -> None:
+    """W132 where `points` (n, 3) RAS mm of a file lie off the slice."""
+    distance = np.abs(frame.from_world(points)[1])
+    off = distance > frame.thickness / 2 * (1 + 1e-6)
+    if off.any():
+        warn("W132", f"{off.sum()} of {len(points)} points of {name} lie off the slice, up to {distance.max():.2f} mm "
+                     f"where half its thickness is {frame.thickness / 2:.2f} mm. They were moved as its tissue.")
 
 
 def _chosen(lips, side) -> np.ndarray:

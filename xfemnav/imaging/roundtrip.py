@@ -4,22 +4,25 @@ Each check takes a folder to write in and raises `Mismatch`, or what the readers
 otherwise. Frames are written out here by hand, so that a sign that is wrong in the program is not wrong here too.
 """
 
+import gzip
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import SimpleITK as sitk
 
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
-from xfemnav.imaging.known import CUT, HALF, OBLIQUE, ORDERS, STRAIGHT, Mismatch, Scene, agree
+from xfemnav.imaging.known import HALF, OBLIQUE, ORDERS, STRAIGHT, Mismatch, agree
 from xfemnav.imaging.landmarks import moved_points, resting_points
 from xfemnav.imaging.lean import nibabel
 from xfemnav.imaging.point_files import read_points, write_points
 from xfemnav.imaging.points import PointSet
-from xfemnav.imaging.reading import Image, read_image
-from xfemnav.imaging.slices import Slice, take_slice, to_nifti
+from xfemnav.imaging.reading import read_image
+from xfemnav.imaging.roundtrip_surfaces import check_surfaces
+from xfemnav.imaging.scenes import scene_motion, scene_slice, scene_triangles
+from xfemnav.imaging.slices import take_slice, to_nifti
 from xfemnav.imaging.streamlines import move_streamlines
-from xfemnav.imaging.tract_files import read_streamlines
+from xfemnav.imaging.tract_files import read_streamlines, tract_bytes
 from xfemnav.imaging.transform import backward, forward, roomy, write_transform
 from xfemnav.imaging.vectors import field_nifti, write_nrrd
 from xfemnav.imaging.warp import covered, pull_back, update
@@ -71,17 +74,6 @@ def _images(folder: Path, name: str, write, tolerance=EXACT, orders=tuple(ORDERS
         voxels = np.moveaxis(np.indices(found.shape), 0, -1)
         world = voxels @ found.affine[:3, :3].T + found.affine[:3, 3]
         agree(f"the image in {label} order", found.get_fdata(), scene.updated(world), tolerance)
-
-
-def scene_triangles(scene: Scene, frame: Slice):
-    """The triangles of the scene at rest and now in plane coordinates of a slice, both (4, 3, 2) mm."""
-    return (frame.from_world(scene.world(corners))[0] for corners in (scene.rest, scene.moved))
-
-
-def scene_slice(scene: Scene) -> Slice:
-    """The scene's slice, without a file."""
-    values, affine = scene.volume()
-    return take_slice(Image(values, affine, "float64", 2, "", "scene"), plane="axial", position_mm=scene.position_mm)
 
 
 def _nifti(values, affine) -> nibabel.Nifti1Image:
@@ -198,7 +190,7 @@ def check_points(folder: Path) -> None:
 
 def check_landmarks(folder: Path) -> None:
     frame, rest, moved, inner = _slice_and_motion()
-    motion = _motion(OBLIQUE, frame, rest, moved)
+    motion = scene_motion(OBLIQUE, frame, rest, moved)
     there, off = OBLIQUE.world(inner), 2.0 * OBLIQUE.turn[:, 2]
     found = moved_points(there + off, frame, motion, rest)
     agree("the moved landmarks", found.moved, OBLIQUE.world(OBLIQUE.now(inner)) + off, 1e-9)
@@ -217,20 +209,18 @@ def check_streamlines(folder: Path) -> None:
     tracts = nibabel.streamlines.Tractogram([STRAIGHT.world(ends)], affine_to_rasmm=np.eye(4))
     frame = scene_slice(STRAIGHT)
     rest, moved = scene_triangles(STRAIGHT, frame)
-    motion = _motion(STRAIGHT, frame, rest, moved)
-    for suffix in ("trk", "tck"):
-        kind = {"trk": nibabel.streamlines.TrkFile, "tck": nibabel.streamlines.TckFile}[suffix]
-        kind(tracts, header=header if suffix == "trk" else None).save(str(folder / f"in.{suffix}"))
+    motion = scene_motion(STRAIGHT, frame, rest, moved)
+    for suffix in ("trk", "trk.gz", "tck"):
+        kind = nibabel.streamlines.TckFile if suffix == "tck" else nibabel.streamlines.TrkFile
+        kind(tracts, header=None if suffix == "tck" else header).save(written := io.BytesIO())
+        content = written.getvalue()
+        (folder / f"in.{suffix}").write_bytes(gzip.compress(content) if suffix.endswith("gz") else content)
         found = move_streamlines(read_streamlines(folder / f"in.{suffix}"), frame, motion, rest)
-        found.file.save(str(folder / f"out.{suffix}"))
+        (folder / f"out.{suffix}").write_bytes(tract_bytes(found.file, suffix))
         line = nibabel.streamlines.load(folder / f"out.{suffix}").streamlines
         if len(line) != 1:
             raise Mismatch(f"one streamline of .{suffix} became {len(line)}")
         agree(f"a streamline of .{suffix}", line[0][[0, -1]], STRAIGHT.world(STRAIGHT.now(ends)), MM)
-
-
-def _motion(scene: Scene, frame: Slice, rest, moved) -> PiecewiseAffineMap:
-    return PiecewiseAffineMap(rest, moved, (frame.from_world(scene.world(CUT))[0],))
 
 
 #: What is checked, by whom, and the library that a fault points to.
@@ -246,5 +236,6 @@ CHECKS = (
     ("fields .nii.gz in SimpleITK", check_field_nifti, "SimpleITK"),
     ("point files .mrk.json, .fcsv, .csv, .tag", check_points, "xfemnav"),
     ("landmarks there and back", check_landmarks, "xfemnav"),
-    ("streamlines .trk, .tck", check_streamlines, "nibabel"),
+    ("streamlines .trk, .trk.gz, .tck", check_streamlines, "nibabel"),
+    ("surfaces .stl, .vtk, .vtp, .gii, .obj, .ply", check_surfaces, "meshio"),
 )

@@ -1,4 +1,4 @@
-"""A finished run applied to a file that comes later: an image, landmarks or streamlines."""
+"""A finished run applied to a file that comes later: an image, landmarks, streamlines or a surface."""
 
 import os
 import tempfile
@@ -11,16 +11,20 @@ from xfemnav.pipeline.chain import Warned, recorded
 from xfemnav.pipeline.disk import write_together, writing
 from xfemnav.pipeline.result import Result
 from xfemnav.pipeline.runfile import BIDS, DESCRIBED, json_text, public_name, sidecar_name, slug, stem
-from xfemnav.pipeline.stage_carry import placed, point_ending
+from xfemnav.pipeline.stage_carry import ending, placed, point_ending
 
-POINTS, TRACTS = (".json", ".fcsv", ".csv", ".tag"), (".trk", ".tck")
+#: What is carried, in words, and what other files of patients may be turned into.
+CARRIED = ("images (NIfTI, NRRD, MetaImage, MGH, a folder of DICOM), landmarks ({points}), streamlines ({tracts}) and "
+           "surfaces ({surfaces})")
+INSTEAD = {".trx": "Convert it to .trk or .tck.", ".vtu": "Write its surface as .vtp (ParaView: Extract Surface).",
+           ".pial": "Convert it: mris_convert.", ".white": "Convert it: mris_convert."}
 
 
 @dataclass(frozen=True)
 class Choices:
     """How files are carried: `kind`, `interp`, `axes`, `order`, `outside`, `fill` of images as in `Result.warp`; of
     points the `side` of a cut, and `inverse`, from now to the preoperative image. `nifti_frame` of images: None for the
-    run's."""
+    run's. `space` of surfaces as in `Result.surface`."""
 
     kind: str | None = None
     interp: str = "linear"
@@ -31,6 +35,7 @@ class Choices:
     side: str | None = None
     inverse: bool = False
     nifti_frame: str | None = None
+    space: str | None = None
 
 
 @dataclass(frozen=True)
@@ -46,10 +51,10 @@ def apply(result: Result, path: Path, folder: Path, choices: Choices = Choices()
           force: bool = False, kept: frozenset[Path] = frozenset()) -> Applied:
     """Write the file at `path` as it is after the motion of `result` into `folder`, whole or not at all.
 
-    What it is, its ending says: landmarks (.mrk.json, .json, .fcsv, .csv, .tag), streamlines (.trk, .tck), or else an
-    image. Only with `force` an existing file is replaced, and never `path` itself, nor one of `kept` or of the run.
-    `step` is the one that `result` is of, for the name. Raises E731, E780 (`inverse` for what are no points), what
-    reading raises, E501 and E502.
+    What it is, its ending says: that of a reader of landmarks, streamlines or surfaces, or else it is an image. Only
+    with `force` an existing file is replaced, and never `path` itself, nor one of `kept` or of the run. `step` is the
+    one that `result` is of, for the name. Raises E731, E780 (`inverse` for what are no points), what reading raises,
+    E501 and E502.
     """
     path, folder = Path(path), Path(folder)
     carry = _kind_of(path)
@@ -76,24 +81,35 @@ def output_name(path: Path, step: str | None = None, *, inverse: bool = False) -
         name = f"{match[1]}_step-{slug(step)}_{match[2]}" if match else f"{name}_step-{slug(step)}"
     if carry is _image:
         return public_name(path, f"companion:{name}")
-    if carry is _tracts:
-        return public_name(path, f"streamlines:{name}", path.suffix.lower())
+    if carry in (_tracts, _surface):
+        kind = "streamlines" if carry is _tracts else "surfaces"
+        return public_name(path, f"{kind}:{name}", ending(kind, path))
     before, _, after = public_name(path, f"points:{name}", point_ending(path)).rpartition("_desc-updated")
     return f"{before}_desc-{'preoperative' if inverse else 'updated'}{after}"
 
 
 def _kind_of(path: Path):
-    """The function that carries a file of this name."""
-    ending = path.suffix.lower()
-    return _points if ending in POINTS else _tracts if ending in TRACTS else _image
+    """The function that carries a file of this name: the readers know their endings."""
+    return next((carry for carry, endings in _endings().items() if path.name.lower().endswith(endings)), _image)
+
+
+def _endings() -> dict:
+    from xfemnav.imaging import point_files, surface_files, tract_files
+
+    return {_points: point_files.SUFFIXES, _tracts: tract_files.SUFFIXES, _surface: surface_files.SUFFIXES}
 
 
 def _image(result: Result, path: Path, target: Path, choices: Choices) -> str:
     from xfemnav import __version__
     from xfemnav.pipeline.files import write_nifti
 
-    image = result.warp(path, kind=choices.kind, interp=choices.interp, outside=choices.outside, fill=choices.fill,
-                        axes=choices.axes, order=choices.order, nifti_frame=choices.nifti_frame)
+    try:
+        image = result.warp(path, kind=choices.kind, interp=choices.interp, outside=choices.outside, fill=choices.fill,
+                            axes=choices.axes, order=choices.order, nifti_frame=choices.nifti_frame)
+    except XfemnavError as error:
+        if error.code != "E106" or path.is_dir():
+            raise
+        raise XfemnavError("E106", _not_carried(path)) from None
     write_nifti(target, image)
     about = DESCRIBED["companion"] | image.extra | {"Sources": [path.name, result.record["outputs"]["solution"]],
                                       "GeneratedBy": [{"Name": "xfemnav", "Version": __version__}]}
@@ -113,9 +129,26 @@ def _points(result: Result, path: Path, target: Path, choices: Choices) -> str:
 
 
 def _tracts(result: Result, path: Path, target: Path, choices: Choices) -> str:
+    from xfemnav.imaging.tract_files import tract_bytes
+
     moved = result.streamlines(path)
-    moved.file.save(str(target))
+    target.write_bytes(tract_bytes(moved.file, ending("streamlines", path)))
     return _counted(moved.flag, "streamlines")
+
+
+def _surface(result: Result, path: Path, target: Path, choices: Choices) -> str:
+    moved, organ = result.surface(path, space=choices.space), result.organ
+    moved.warn_of_frame(path.name, result.frame, organ.points[organ.boundary_loops[0]])
+    target.write_bytes(moved.content)
+    return moved.words
+
+
+def _not_carried(path: Path) -> str:
+    """What to say of a file that is none of what is carried."""
+    points, tracts, surfaces = (", ".join(endings) for endings in _endings().values())
+    carried = CARRIED.format(points=points, tracts=tracts, surfaces=surfaces)
+    instead = INSTEAD.get(path.suffix.lower(), "Give one of these.")
+    return f"{path.name} is none of what is carried: {carried}. {instead}"
 
 
 def _counted(flags: tuple[str, ...], what: str) -> str:

@@ -1,5 +1,6 @@
 """The chain of stages through the cache: each is looked up by its content key, and computed when it is not there."""
 
+import hashlib
 import json
 import os
 import time
@@ -27,6 +28,7 @@ REMEDIES = {
 }
 FACTS, VALUE = "facts.json", ("value.json", "value.npz")
 ALONE = (".nii", ".nii.gz", ".mgz", ".mgh")  # one file is the image: no library is needed to digest it
+FROM_BYTES = ("streamlines", "surfaces")  # kinds of files that are decoded from the bytes that were digested
 STEPWISE = ("constrain", "solve", "warp")  # the stages that every step has of its own
 
 
@@ -65,7 +67,8 @@ class Done:
 class Inputs:
     """What a stage may read: values of earlier stages and input files, each loaded when it is first asked for.
 
-    `step` is the index of the step under way. Stages of steps before the last are kept as "solve:0", "solve:1", ...
+    `digests` are those of files that are decoded from their bytes; `step` is the index of the step under way. Stages of
+    steps before the last are kept as "solve:0", "solve:1", ...
     """
 
     config: Config
@@ -73,6 +76,7 @@ class Inputs:
     done: dict[str, Done] = field(default_factory=dict)
     values: dict[str, object] = field(default_factory=dict)
     images: dict[str, object] = field(default_factory=dict)
+    digests: dict[str, str] = field(default_factory=dict)
 
     def label(self, stage: str, step: int | None = None) -> str:
         """What a stage of the step under way, or of another, is kept as."""
@@ -100,6 +104,13 @@ class Inputs:
             with recorded():
                 self.images[role] = self.decoded(role)
         return self.images[role]
+
+    def content(self, role: str) -> bytes:
+        """The bytes of a file of tracts or a surface, the same that were digested. Raises E101 where they changed."""
+        data = bounded_bytes(self.files[role], self.config.limit)
+        if hashlib.sha256(data).hexdigest() != self.digests[role]:
+            raise _changed(self.files[role])
+        return data
 
     def reading(self, role: str) -> ReadParams:
         """How a file is read: pixel sizes given by hand are those of the mask too, and NaN in a mask is background."""
@@ -258,8 +269,9 @@ class Chain:
                 if self._raw(role) != self.input_facts[role]["sha256"]:
                     raise _changed(self.inputs.files[role])
             (folder / "public").mkdir()
-            stage.code.publish(value, self.inputs, folder / "public")
-            write_facts(folder, facts, caught)
+            with recorded() as later:
+                stage.code.publish(value, self.inputs, folder / "public")
+            write_facts(folder, facts, [*caught, *(item for item in later if item not in caught)])
 
         start = time.perf_counter()
         with recorded() as healing:
@@ -272,17 +284,19 @@ class Chain:
         """Digest of an input file, and what reading it warned of."""
         if role == "mesh_file":
             return self._mesh_facts(path)
-        if kind(role) in ("points", "streamlines"):
-            if not os.path.isfile(path):
-                raise XfemnavError("E100", f"no file at {path}. Correct the path.")
-            raw = self._raw(role)
+        if kind(role) == "points" and not os.path.isfile(path):
+            raise XfemnavError("E100", f"no file at {path}. Correct the path.")
+        if kind(role) in ("points", *FROM_BYTES):
+            raw = self.inputs.digests[role] = self._raw(role)
             return {"digest": raw, "sha256": raw}, ()
         return self._image_facts(role, path)
 
     def _raw(self, role: str) -> str:
         """sha256 of the bytes of an input: of a file, or of all files of an image that may lie in several."""
         path = self.inputs.files[role]
-        alone = kind(role) in ("mesh_file", "points", "streamlines") or path.name.lower().endswith(ALONE)
+        if kind(role) in FROM_BYTES:
+            return hashlib.sha256(bounded_bytes(path, self.config.limit)).hexdigest()
+        alone = kind(role) in ("mesh_file", "points") or path.name.lower().endswith(ALONE)
         if alone and not os.path.isdir(path):
             return file_digest(path)
         from xfemnav.imaging.reading import content_digest
@@ -318,6 +332,13 @@ class Chain:
             read_vtu(path, "E209")  # refuses it, with the reason
         raw = file_digest(path)
         return {"digest": raw, "sha256": raw}, ()
+
+
+def bounded_bytes(path: Path, limit: int) -> bytes:
+    """Bytes of a regular file of at most `limit` bytes. Raises E100, E101, E102, E106."""
+    from xfemnav.imaging.content import file_bytes
+
+    return file_bytes(path, limit)
 
 
 def kind(role: str) -> str:

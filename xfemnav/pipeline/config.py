@@ -68,6 +68,11 @@ class Config:
         return self.files["image"]
 
     @property
+    def limit(self) -> int:
+        """Most bytes of a file that is read."""
+        return int(self.max_memory_gb * 1e9)
+
+    @property
     def constrain(self) -> ConstrainParams:
         """The problem of the last step."""
         return self.steps[-1].constrain
@@ -138,7 +143,8 @@ def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]
         mesh=_mesh_params(s, drawn), steps=_steps(s, drawn, files.get("boundary.displacement"), given),
         solve=SolveParams(),
         warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill, s.warp.transforms),
-        carry=CarryParams(tuple(item for item, _ in carried), s.warp.interp, s.warp.outside, s.warp.fill),
+        carry=CarryParams(tuple(item for item, _ in carried), s.warp.interp, s.warp.outside, s.warp.fill,
+                          s.space if s.surfaces else "ras"),
     )
 
 
@@ -177,21 +183,22 @@ def _path(points, markup: str | None, space: str, file: Path | None, smooth: boo
 
 
 def _carried(s: "Scenario", files: dict[str, Path]):
-    """What goes with the image, and its file; a stem that comes twice gets a number."""
-    from xfemnav.pipeline.runfile import stem
+    """What goes with the image, and its file; what would be called as another gets a number."""
+    from xfemnav.pipeline.runfile import public_name, stem
 
     listed = [("companion", item.kind, item.axes, item.order, f"companion.{i}.image")
               for i, item in enumerate(s.companion)]
-    for role in ("points", "streamlines"):
+    for role in ("points", "streamlines", "surfaces"):
         listed += [(role, role, "file", None, f"{role}.{i}") for i in range(len(getattr(s, role)))]
-    taken = {("companion", stem(files["image"])): 1}  # the updated image has that name
+    taken = {public_name(files["image"], "updated")}
     for role, kind, axes, order, place in listed:
-        base = stem(files[place])
-        taken[role, base] = number = taken.get((role, base), 0) + 1
-        name = base if number == 1 else f"{base}-{number}"
-        alone = role != "companion" and place.endswith(".0")
-        yield CompanionParams(role if alone else f"{role}:{name}", files[place].name, kind, axes,
-                              order), files[place]
+        base, number = stem(files[place]), 1
+        own = role if role != "companion" and place.endswith(".0") else f"{role}:{base}"
+        while {own, called := public_name(files["image"], own, ".")} & taken:
+            number += 1
+            own = f"{role}:{base}-{number}"
+        taken |= {own, called, f"{role}:{base}"}
+        yield CompanionParams(own, files[place].name, kind, axes, order), files[place]
 
 
 def _filled(r, s: "Scenario"):

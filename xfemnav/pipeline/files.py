@@ -1,10 +1,11 @@
-"""Public files: meshes as VTU through meshio, images as NIfTI. The only caller of meshio, which is unmaintained."""
+"""Public files: meshes as VTU, written through meshio, and images as NIfTI.
+
+meshio is unmaintained: it only writes, here and where the doctor looks at surfaces. What users give is read by
+`xfemnav.imaging`.
+"""
 
 import gzip
-import os
-import zlib
 from pathlib import Path
-from xml.etree.ElementTree import ParseError
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import Mesh, orient
 
 LEVEL = 1  # of zlib: noisy images are 2 % larger than at 6, in 3/4 of its time
+LARGEST = 2_000_000_000  # bytes of a mesh, as a file and unpacked
 SAME_MM = 1e-6  # corners of neighbouring triangles closer than this, at rest and moved, are one vertex
 
 
@@ -29,37 +31,37 @@ def write_vtu(path: Path, points, cells, point_data: dict | None = None, cell_da
     """Write triangles: `points` (n, 3) world RAS mm, `cells` (m, 3), data by name with one row a point or cell."""
     import meshio
 
+    from xfemnav.imaging.content import silenced
+
     cell_data = {name: [values] for name, values in (cell_data or {}).items()}
-    meshio.Mesh(points, [("triangle", cells)], point_data or {}, cell_data).write(path, file_format="vtu")
+    with silenced():
+        meshio.Mesh(points, [("triangle", cells)], point_data or {}, cell_data).write(path, file_format="vtu")
 
 
-def read_vtu(path: Path, code: str):
-    """The meshio mesh in a VTU file, and its triangles. Raises E100, and the error `code` when it is none."""
-    import meshio
+def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = ()):
+    """The triangles of a VTU file and the point data `wanted`: a Grid. Raises E100, E102, E106, and the error `code`
+    when it is none."""
+    from xfemnav.imaging.content import file_bytes
+    from xfemnav.imaging.vtk_grid import grid
 
-    if not os.path.isfile(path):
-        raise XfemnavError("E100", f"no mesh file at {path}. Correct the path.")
-    head = path.read_bytes()[:1000]
-    if b"<VTKFile" not in head or b"<!" in head.replace(b"<!--", b""):
+    content = file_bytes(path, LARGEST)
+    if b"<VTKFile" not in content[:2000]:
         raise XfemnavError(code, f"{path.name} is no VTU file. Write it as VTU, for instance with meshio or ParaView.")
     try:
-        mesh = meshio.vtu.read(path)  # meshio.read would print, and end the program
-        triangles = mesh.get_cells_type("triangle")
-    except (meshio.ReadError, ParseError, ValueError, LookupError, TypeError, AttributeError, OSError,
-            AssertionError, zlib.error, MemoryError) as error:
-        raise XfemnavError(code, f"{path.name} is a damaged VTU file ({type(error).__name__}: {error}). "
-                                 "Write it again.") from None
-    if len(triangles) == 0:
+        found = grid(content, path.name, wanted, LARGEST)
+    except XfemnavError as error:
+        raise XfemnavError(code if error.code == "E701" else error.code, error.message) from None
+    if len(found.triangles) == 0:
         raise XfemnavError(code, f"{path.name} holds no triangles. Write a VTU of triangles in mm (RAS).")
-    return mesh, triangles
+    return found
 
 
 def read_mesh(path: Path, slice, min_quality: float = 0.05) -> Mesh:
     """The user's mesh in the plane of `slice`: VTU triangles, world RAS mm. Raises E100 and E209."""
-    found, triangles = read_vtu(path, "E209")
+    found = read_vtu(path, "E209")
     if not np.isfinite(found.points).all():
         raise XfemnavError("E209", f"{path.name} has points that are NaN or infinite. Write it again.")
-    used, cells = np.unique(triangles, return_inverse=True)
+    used, cells = np.unique(found.triangles, return_inverse=True)
     points, distance = slice.from_world(found.points[used])
     if abs(distance).max() > slice.thickness / 2 * (1 + 1e-6):
         raise XfemnavError("E209", f"{path.name} lies up to {abs(distance).max():.2f} mm off the slice, over half its "
@@ -109,8 +111,9 @@ def write_soup(path: Path, slice, rest, moved, cell_data: dict) -> None:
 
 def read_soup(path: Path, frame) -> tuple[np.ndarray, np.ndarray]:
     """rest, moved (t, 3, 2) plane mm of the file that `write_soup` wrote. Raises E100 and E701."""
-    found, cells = read_vtu(path, "E701")
+    found = read_vtu(path, "E701", ("displacement",))
     if "displacement" not in found.point_data:
         raise XfemnavError("E701", f"{path.name} has no point data 'displacement'; it is no solution of xfemnav.")
     rest = frame.from_world(found.points)[0]
-    return rest[cells], (rest + found.point_data["displacement"] @ frame.axes[:2].T)[cells]
+    moved = rest + found.point_data["displacement"] @ frame.axes[:2].T
+    return rest[found.triangles], moved[found.triangles]

@@ -57,11 +57,11 @@ FLAGS: dict[str, str] = {
 }
 FLAG_OF = {place: "--" + name.replace("_", "-") for name, place in FLAGS.items()}
 CUT_FLAGS = ("cut", "markup", "internal", "left", "right", "lip_force", "opening_mm", "blade", "resect")
-FILE_FLAGS = ("companion", "points", "streamlines")
+FILE_FLAGS = ("companion", "points", "streamlines", "surfaces")
 #: Places of paths; "cut.*.markups" are those of every cut.
 PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.file", "boundary.displacement",
          "tissue.labels", "cut.*.markups", "resect.*.markups", "resect.*.mask", "companion.*.image", "points.*",
-         "streamlines.*")
+         "streamlines.*", "surfaces.*")
 BACKSLASH = ("In double quotes a backslash begins an escape: write a path of Windows in single quotes, 'C:\\Users', or "
              "with /.")
 CONTROL = re.compile(r"[\x01-\x1f\x7f]")
@@ -173,7 +173,7 @@ def _add_resections(raw: dict, given: dict, found: list[str], files: dict[str, P
 
 
 def _add_files(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
-    """--companion [KIND=]FILE, --points FILE and --streamlines FILE come after the scenario's own."""
+    """--companion [KIND=]FILE, --points, --streamlines and --surfaces FILE come after the scenario's own."""
     for value in _repeated(given.get("companion", ())):
         kind, separator, name = str(value).partition("=")
         said, name = ({"kind": kind}, name) if separator and kind in KINDS else ({}, value)
@@ -182,7 +182,7 @@ def _add_files(raw: dict, given: dict, found: list[str], files: dict[str, Path])
         files[f"companion.{len(items) - 1}.image"] = Path(name)
     found += [f"--{flag.replace('_', '-')}: is for companions given by --companion, and there is none"
               for flag in OF_COMPANIONS if flag in given and "companion" not in given]
-    for key in ("points", "streamlines"):
+    for key in ("points", "streamlines", "surfaces"):
         for value in _repeated(given.get(key, ())):
             raw[key] = [*raw.get(key, ()), printed(value)]
             files[f"{key}.{len(raw[key]) - 1}"] = Path(value)

@@ -12,6 +12,7 @@ from pathlib import Path
 from xfemnav import __version__
 from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
 from xfemnav.interruption import Interrupted, checkpoint
+from xfemnav.pipeline import stage_carry
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import STEPWISE, Chain, Done, Warned, page_key
 from xfemnav.pipeline.config import Config
@@ -195,10 +196,14 @@ def _collect(files: dict[str, tuple[Path, str]], config: Config, label: str, ite
             files[_role(config, label, item, name)] = path, item.entry.files[f"public/{path.name}"]
 
 
-def _roles(config: Config) -> list[str]:
-    """All roles of outputs that a run may write beside the fixed ones."""
-    steps = [f"{name}:{step.name}" for step in config.steps[:-1] for name in OF_A_STEP]
-    return [*steps, *(item.role for item in config.carry.companions if item.kind not in ("points", "streamlines"))]
+def _roles(config: Config) -> dict[str, str]:
+    """All roles of outputs that a run may write beside the fixed ones, and the ending of those that keep their own."""
+    found = {f"{name}:{step.name}": "" for step in config.steps[:-1] for name in OF_A_STEP}
+    for item in config.carry.companions:
+        found[item.role] = stage_carry.ending(item.kind, config.files[item.role])
+        if item.kind == "points":
+            found[item.role.replace("points", "points-markups", 1)] = ""
+    return found
 
 
 def _reported(chain: Chain, record: dict) -> dict:

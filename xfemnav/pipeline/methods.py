@@ -147,7 +147,7 @@ def _steps(run):
 
 def _carried(asked):
     names = [PurePath(item["image"]).name for item in asked["companion"]]
-    names += [PurePath(name).name for key in ("points", "streamlines") for name in asked[key]]
+    names += [PurePath(name).name for key in ("points", "streamlines", "surfaces") for name in asked[key]]
     return f"Through the same map went {', '.join(names)}." if names else ""
 
 

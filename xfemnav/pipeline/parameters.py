@@ -184,8 +184,8 @@ class WarpParams:
 
 @dataclass(frozen=True)
 class CompanionParams:
-    """Another image to carry, or landmarks and streamlines to move: the role of its file, the file's name, its kind
-    (None: by the file), and whose `axes` and which `order` vectors and tensors have."""
+    """Another image to carry, or landmarks, streamlines or a surface to move: the role of its file, the file's name,
+    its kind (None: by the file), and whose `axes` and which `order` vectors and tensors have."""
 
     role: str
     name: str
@@ -196,12 +196,14 @@ class CompanionParams:
 
 @dataclass(frozen=True)
 class CarryParams:
-    """Everything that is carried along with the image, and how it is sampled."""
+    """Everything that is carried along with the image, how it is sampled, and the `space` of surfaces that do not say
+    theirs."""
 
     companions: tuple[CompanionParams, ...]
     interp: str
     outside: str
     fill: float | None
+    space: str
 
 
 @dataclass(frozen=True)

@@ -106,8 +106,8 @@ class Result:
         from xfemnav.geometry.mesh import Mesh
         from xfemnav.pipeline.files import read_vtu
 
-        found, cells = read_vtu(self._path("mesh"), "E701")
-        return Mesh(self.frame.from_world(found.points)[0], cells)
+        found = read_vtu(self._path("mesh"), "E701")
+        return Mesh(self.frame.from_world(found.points)[0], found.triangles)
 
     @cached_property
     def motion(self):
@@ -155,11 +155,24 @@ class Result:
         return moved_points(points, self.frame, self.motion, self.organ.corners, side_number(side))
 
     def streamlines(self, path):
-        """The tractogram in a .trk or .tck file after the motion: MovedStreamlines of `xfemnav.imaging.streamlines`."""
+        """The tractogram in a .trk, .trk.gz or .tck file after the motion: MovedStreamlines of
+        `xfemnav.imaging.streamlines`."""
         from xfemnav.imaging.streamlines import move_streamlines
         from xfemnav.imaging.tract_files import read_streamlines
 
         return move_streamlines(read_streamlines(path), self.frame, self.motion, self.organ.corners)
+
+    def surface(self, path, *, space: str | None = None):
+        """The surface in a .stl, .vtk, .vtp, .gii, .obj or .ply file after the motion: MovedSurface of
+        `xfemnav.imaging.surfaces`.
+
+        `space` (ras, lps) is that of a file that does not say its own; by default the run's.
+        """
+        from xfemnav.imaging.surface_files import read_surface
+        from xfemnav.imaging.surfaces import move_surface
+
+        read = read_surface(path, space=space or self.record["parameters"]["space"])
+        return move_surface(read, self.frame, self.motion, self.organ.corners)
 
     def warp(self, image, *, kind: str | None = None, interp: str = "linear", outside: str = "keep",
              fill: float | None = None, axes: str = "file", order: str | None = None, nifti_frame: str | None = None):

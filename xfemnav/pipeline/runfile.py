@@ -44,11 +44,14 @@ NAMES = {
     "points": ("updated", "points", ""),
     "points-markups": ("updated", "points", ".mrk.json"),
     "streamlines": ("updated", "streamlines", ""),
+    "surfaces": ("updated", "surfaces", ""),
 }
 WITH_SIDECAR = (".nii.gz", ".nrrd", ".h5")
 PAGES = {"figure": ("figure", ".png"), "report": ("report", ".html")}
 #: Roles whose files are named after a carried file, not after the image.
-CARRIED = ("companion", "points", "streamlines")
+CARRIED = ("companion", "points", "streamlines", "surfaces")
+#: Those of them whose own suffix says what they are of (pial, white), and is kept where they have one.
+OWN_SUFFIX = ("surfaces",)
 DESCRIBED = SIDECARS | {
     "mask": {"Description": "Organ in the slice, holes filled", "Type": "Brain"},
     "updated": {"Description": "The slice after the cut and retraction"},
@@ -62,8 +65,10 @@ DESCRIBED = SIDECARS | {
 #: What a run calls its files: `public_name` of any image, step and carried file, and their sidecars.
 OWN_NAME = re.compile("|".join([
     *(rf"{name}(_step-\w+)?{re.escape(ending)}" for name, ending in PAGES.values()),
-    *(r"[^/\0]*" + (f"_desc-{what}" if what else "") + (f"_{suffix}" if suffix else "(_[^/]+)?")
-      + (f"({re.escape(ending)}|[.]json)" if ending else r"[.]\w[\w.]*") for what, suffix, ending in NAMES.values())]))
+    *(r"[^/\0]*" + (f"_desc-{what}" if what else "")
+      + (f"_{suffix}" if suffix and role not in OWN_SUFFIX else "(_[^/]+)?")
+      + (f"({re.escape(ending)}|[.]json)" if ending else r"[.]\w[\w.]*")
+      for role, (what, suffix, ending) in NAMES.items())]))
 
 
 def json_text(value: dict) -> str:
@@ -72,8 +77,9 @@ def json_text(value: dict) -> str:
 
 
 def stem(image: Path) -> str:
-    """Name of an image, point file or tractogram without its ending."""
-    endings = r"\.(nii|nrrd|nhdr|mha|mhd|mgz|mgh|mrk\.json|json|fcsv|csv|tag|trk|tck)(\.gz)?$"
+    """Name of an image, point file, tractogram or surface without its ending."""
+    endings = (r"\.(nii|nrrd|nhdr|mha|mhd|mgz|mgh|mrk\.json|json|fcsv|csv|tag|trk|tck|"
+               r"stl|vtk|vtp|surf\.gii|gii|obj|ply)(\.gz)?$")
     return re.sub(endings, "", image.name, flags=re.IGNORECASE)
 
 
@@ -85,8 +91,8 @@ def slug(name: str) -> str:
 def public_name(image: Path, role: str, source: str = "") -> str:
     """File name of an output: BIDS names keep their suffix (sub-01_T1w -> sub-01_desc-updated_T1w).
 
-    A role "what:which" is of the step, or of the carried file, called `which`; points and streamlines keep the ending
-    of their `source`.
+    A role "what:which" is of the step, or of the carried file, called `which`; points, streamlines and surfaces keep
+    the ending of their `source`, and surfaces their suffix, which says what they are of.
     """
     what, _, which = role.partition(":")
     carried = which and what.partition("-")[0] in CARRIED
@@ -99,7 +105,8 @@ def public_name(image: Path, role: str, source: str = "") -> str:
     base, own = match.groups() if match else (which if carried else stem(image), None)
     if match and description:
         base = re.sub(r"_desc-[A-Za-z0-9]+", "", base)
-    parts = [step, description and f"desc-{description}", suffix or own]
+    suffix = own or suffix if carried and what in OWN_SUFFIX else suffix or own
+    parts = [step, description and f"desc-{description}", suffix]
     tail = "".join(f"_{part}" for part in parts if part) + (ending or source)
     while max(len(os.fsencode(name)) for name in (base + tail, sidecar_name(base + tail))) > LONGEST_NAME:
         base = base[:-1]
@@ -179,13 +186,13 @@ class OutputFolder:
             for name in self.earlier - keep:
                 (self.path / name).unlink(missing_ok=True)
 
-    def refuse_overwriting(self, inputs: list[Path], roles: list[str]) -> None:
+    def refuse_overwriting(self, inputs: list[Path], roles: dict[str, str]) -> None:
         """Raise E731 when an input, or a file that no earlier run made, would be replaced or removed.
 
-        `roles` are those of the run's steps and carried files, beside the fixed ones.
+        `roles` are those of the run's steps and carried files, beside the fixed ones, with their endings.
         """
         fixed = {role for role in (*NAMES, *PAGES) if role.partition("-")[0] not in CARRIED}
-        new = {public_name(self.image, role) for role in (*fixed, *roles)}
+        new = {public_name(self.image, role, ending) for role, ending in ({role: "" for role in fixed} | roles).items()}
         new |= {sidecar_name(name) for name in new if name.endswith(WITH_SIDECAR)}
         targets = {(self.path / name).resolve() for name in self.earlier | new | {RECORD}}
         for path in inputs:

@@ -317,7 +317,8 @@ class Scenario(Section):
     image: Path_ | None = Field(None, description="NIfTI; may be given on the command line instead")
     mask: Path_ | None = Field(None, description="the organ, on the image's grid: a slice or a volume")
     space: Literal["ras", "lps", "voxel"] = Field(
-        "ras", description="how points are read; displacements and forces of lips are plane RAS in each")
+        "ras", description="how points are read, and surfaces that do not say theirs; displacements and forces of lips "
+                           "are plane RAS in each")
     volume: int | None = Field(None, ge=0, description="which volume of a 4-D image; masks are 3-D")
     nan: float | None = Field(None, description="value for NaN and infinite voxels of the image; in masks they are 0")
     spacing: Annotated[tuple[Positive, ...], Strict(False), Field(min_length=2, max_length=3)] | None = Field(
@@ -330,7 +331,8 @@ class Scenario(Section):
     max_memory_gb: Positive = Field(4.0, description="largest image to read, GB")
     strict: bool = Field(False, description="warnings are errors")
     points: Paths_ = Field((), description="files of landmarks to move: .mrk.json, .fcsv, .csv, .tag")
-    streamlines: Paths_ = Field((), description="tractograms to move: .trk, .tck")
+    streamlines: Paths_ = Field((), description="tractograms to move: .trk, .trk.gz, .tck")
+    surfaces: Paths_ = Field((), description="surfaces to move: .stl, .vtk, .vtp, .gii, .obj, .ply")
     slice: SliceSection = SliceSection()
     segment: SegmentSection = SegmentSection()
     cut: Annotated[tuple[CutSection, ...], Strict(False), MANY] = ()

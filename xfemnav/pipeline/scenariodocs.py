@@ -18,8 +18,8 @@ An example is in [worked-case.md](worked-case.md).
 
 On the command line, `--cut`, `--markup`, `--left`, `--right`, `--lip-force`, `--opening-mm`, `--blade` and `--internal`
 say what `[[cut]]` and `[[retract]]` say here. A `--cut` takes the place of all cuts of the scenario and of what held
-their lips; a `--resect` takes the place of all resections. `--companion [KIND=]FILE`, `--points` and `--streamlines`
-come after the scenario's own.
+their lips; a `--resect` takes the place of all resections. `--companion [KIND=]FILE`, `--points`, `--streamlines` and
+`--surfaces` come after the scenario's own.
 """
 
 

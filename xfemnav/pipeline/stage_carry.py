@@ -1,4 +1,4 @@
-"""The stage carry: companions, landmarks and streamlines go with the image, each to a file of its own.
+"""The stage carry: companions, landmarks, streamlines and surfaces go with the image, each to a file of its own.
 
 No later stage reads its value, so that is written as files and not kept beside them.
 """
@@ -7,24 +7,32 @@ from xfemnav.interruption import checkpoint
 
 
 def compute(params, inputs):
-    """The image of each companion after the motion, by its number; landmarks and streamlines are files alone."""
-    return {number: _carried(item, params, inputs) for number, item in enumerate(params.companions)
-            if item.kind not in ("points", "streamlines")}
+    """What comes of each file after the motion, by its number: an image, streamlines or a surface; landmarks are files
+    alone."""
+    make, found = {"streamlines": _streamlines, "surfaces": _surface}, {}
+    for number, item in enumerate(params.companions):
+        checkpoint()
+        if item.kind != "points":
+            found[number] = make.get(item.kind, _carried)(item, params, inputs)
+    return found
 
 
 def facts(value, inputs):
-    """What run.json says of the stage: what became of landmarks; and the sidecars of the images."""
-    landmarks = [item for item in inputs.config.carry.companions if item.kind == "points"]
+    """What run.json says of the stage: what became of landmarks and surfaces; and the sidecars of the images."""
+    items = inputs.config.carry.companions
+    landmarks = [item for item in items if item.kind == "points"]
     for item in landmarks:
         _warn_of_frame(item, inputs)
-    tables = [_moved(item, inputs)[1] for item in landmarks]
-    found = {"sidecars": {f"carry-{number}": image.extra for number, image in value.items()}}
-    return found | ({"points": tables} if tables else {})
+    tables = {"points": [_moved(item, inputs)[1] for item in landmarks],
+              "surfaces": [{"file": inputs.files[item.role].name} | value[number].table
+                           for number, item in enumerate(items) if item.kind == "surfaces"]}
+    sidecars = {f"carry-{number}": made.extra for number, made in value.items() if items[number].kind not in FILES}
+    return {"sidecars": sidecars} | {what: rows for what, rows in tables.items() if rows}
 
 
 def line(found):
     """The key figure in a few words."""
-    tables = found.get("points", ())
+    tables = [*found.get("points", ()), *found.get("surfaces", ())]
     return "; ".join(f"{table['file']}: {table['tissue']} of {table['n']} points in tissue" for table in tables)
 
 
@@ -34,11 +42,10 @@ def publish(value, inputs, folder):
 
     for number, item in enumerate(inputs.config.carry.companions):
         checkpoint()
-        if number in value:
-            write_nifti(folder / f"carry-{number}.nii.gz", value[number])
+        if item.kind in FILES:
+            FILES[item.kind](item, inputs, folder, f"carry-{number}", value.get(number))
         else:
-            write = {"points": _write_points, "streamlines": _write_streamlines}[item.kind]
-            write(item, inputs, folder, f"carry-{number}")
+            write_nifti(folder / f"carry-{number}.nii.gz", value[number])
 
 
 def _carried(item, params, inputs):
@@ -50,7 +57,7 @@ def _carried(item, params, inputs):
                  outside=params.outside, fill=params.fill, axes=item.axes, order=item.order)
 
 
-def _write_points(item, inputs, folder, name):
+def _write_points(item, inputs, folder, name, _):
     from xfemnav.imaging.markups import write_markups
     from xfemnav.imaging.point_files import write_points
 
@@ -59,6 +66,21 @@ def _write_points(item, inputs, folder, name):
     write_points(folder / f"{name}{ending}", moved)
     if ending != ".mrk.json":
         write_markups(folder / f"{name}-markups.mrk.json", [moved])
+
+
+def ending(kind, path):
+    """The ending of the file that one of a kind is written to, "" where that does not depend on its own name."""
+    if kind == "points":
+        return point_ending(path)
+    if kind == "streamlines":
+        from xfemnav.imaging.tract_files import tract_ending
+
+        return tract_ending(path) or path.suffix.lower()
+    if kind == "surfaces":
+        from xfemnav.imaging.surface_files import surface_ending
+
+        return surface_ending(path)
+    return ""
 
 
 def point_ending(path):
@@ -109,33 +131,45 @@ def placed(found, moved, one_lip=False):
 
 def _warn_of_frame(item, inputs):
     """W131 where a file of landmarks seems to count in another frame, W132 where landmarks lie off the slice."""
-    import numpy as np
-    import shapely
-
-    from xfemnav.errors import warn
-    from xfemnav.imaging.point_files import frame_suspicion, read_points
+    from xfemnav.imaging.landmarks import warn_of_frame, warn_of_slice
+    from xfemnav.imaging.point_files import read_points
 
     (slice, _), mesh, path = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role]
-    points, organ = read_points(path).points, shapely.Polygon(mesh.points[mesh.boundary_loops[0]])
-    suspicion = frame_suspicion(points, lambda world: shapely.contains_xy(organ, slice.from_world(world)[0]))
-    if suspicion:
-        warn("W131", f"{path.name}: {suspicion} Check the frame that the file states.")
-    distance = np.abs(slice.from_world(points)[1])
-    off = distance > slice.thickness / 2 * (1 + 1e-6)
-    if off.any():
-        warn("W132", f"{off.sum()} of {len(points)} points of {path.name} lie off the slice, up to "
-                     f"{distance.max():.2f} mm where half its thickness is {slice.thickness / 2:.2f} mm. They were "
-                     "moved as its tissue.")
+    points = read_points(path).points
+    warn_of_frame(points, path.name, slice, mesh.points[mesh.boundary_loops[0]],
+                  "Check the frame that the file states.")
+    warn_of_slice(points, path.name, slice)
 
 
-def _write_streamlines(item, inputs, folder, name):
+def _streamlines(item, params, inputs):
     from xfemnav.imaging.streamlines import move_streamlines
-    from xfemnav.imaging.tract_files import read_streamlines
+    from xfemnav.imaging.tract_files import decoded_streamlines
 
     slice, _ = inputs.value("segment")
-    path = inputs.files[item.role]
-    moved = move_streamlines(read_streamlines(path), slice, _motion(inputs), inputs.value("mesh").corners)
-    moved.file.save(str(folder / f"{name}{path.suffix.lower()}"))
+    read = decoded_streamlines(inputs.content(item.role), inputs.files[item.role].name, inputs.config.limit)
+    return move_streamlines(read, slice, _motion(inputs), inputs.value("mesh").corners)
+
+
+def _write_streamlines(item, inputs, folder, name, moved):
+    from xfemnav.imaging.tract_files import tract_bytes
+
+    own = ending(item.kind, inputs.files[item.role])
+    (folder / f"{name}{own}").write_bytes(tract_bytes(moved.file, own))
+
+
+def _surface(item, params, inputs):
+    from xfemnav.imaging.surface_files import decoded_surface
+    from xfemnav.imaging.surfaces import move_surface
+
+    (slice, _), mesh, name = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role].name
+    read = decoded_surface(inputs.content(item.role), name, params.space, inputs.config.limit)
+    moved = move_surface(read, slice, _motion(inputs), mesh.corners)
+    moved.warn_of_frame(name, slice, mesh.points[mesh.boundary_loops[0]])
+    return moved
+
+
+def _write_surface(item, inputs, folder, name, moved):
+    (folder / f"{name}{ending(item.kind, inputs.files[item.role])}").write_bytes(moved.content)
 
 
 def _motion(inputs):
@@ -143,3 +177,7 @@ def _motion(inputs):
 
     solution, problem = inputs.value("solve"), inputs.value("constrain")
     return PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
+
+
+#: Kinds that are no images, and what writes the file of one.
+FILES = {"points": _write_points, "streamlines": _write_streamlines, "surfaces": _write_surface}

@@ -31,7 +31,7 @@ STAGES: dict[str, Stage] = {stage.name: stage for stage in (
           lambda f: f"cavity {f['checks']['cavity_mm2']:.0f} mm2"),
 )}
 CARRY = Stage("carry", PHYSICS, IMAGING, ("segment", "mesh", "constrain", "solve", "warp"),
-              ("companion", "points", "streamlines"), stage_carry, stage_carry.line, kept=False)
+              ("companion", "points", "streamlines", "surfaces"), stage_carry, stage_carry.line, kept=False)
 FIGURE = Stage("figure", ("pipeline",), (*IMAGING, "matplotlib"), ("segment", "constrain", "solve", "warp"), (),
                stage_figure, lambda f: "")
 SAFE = Stage("safe", ("pipeline",), (*ALL, CHOLMOD), ("segment", "mesh"), ("labels", "resection"), stage_safe,
