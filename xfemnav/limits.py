@@ -68,3 +68,14 @@ STRIP_ELEMENTS = Limit(3.0, "elements", "smallest width of a strip of tissue bet
 SHRED_WIDTH_HELD = Limit(3.0, "mm", "smallest width of tissue, two elements at least, that a blade may hold (W305)")
 # Of what is left when half of that width is taken off all round.
 SHRED_AREA = Limit(0.02, "", "smallest share of the tissue that a blade may hold (W305)")
+
+
+BRAIN_MM2 = Limit(22_000.0, "mm²", "cross-section of a brain; more that is not background may be a head (W206)")
+RIM_DIP = Limit(0.09, "", "dip of brightness below the rim of a stripped slice, of the brightness in depth (W206)")
+# Limits of a brain found in a head: docs/segmentation.md has what they were measured on.
+ORGAN_MM2 = Limit(2000.0, "mm²", "least area of the organ (W206)")
+LEAST_OF_HEAD = Limit(0.2, "", "least share of the head that is brain (W206)")
+MOST_OF_HEAD = Limit(0.78, "", "largest share of the head that is brain (W206)")
+VOTERS_AGREE = Limit(0.9, "", "least Dice of the two of three methods that agree best (W206)")
+VOTERS_NEAR = Limit(0.62, "", "least Dice of the two that agree next best (W206)")
+MERIT = Limit(2.6, "", "least merit of an outline as a brain's (W206)")

@@ -1,11 +1,11 @@
 """Organ segmentation of one slice: slice -> one-component mask without holes.
 
-Ventricles and sulci are inside: they are labels, not holes. A mask that is given wins; a skull-stripped slice is
-filled; else three methods vote. Whatever comes out is the user's to judge: a doubtful mask warns, with reasons.
+Ventricles and sulci are inside: they are labels, not holes. A mask that is given wins; a slice of a skull-stripped
+image is filled; else three methods vote. Whatever comes out is the user's to judge: a doubtful mask warns, with
+reasons.
 """
 
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,23 +14,22 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging.masks import clean, dice, mask_of, one_piece
 from xfemnav.imaging.reading import Image
-from xfemnav.imaging.slices import Slice, values_on
+from xfemnav.imaging.slices import Slice, touching, values_on
+from xfemnav.limits import LEAST_OF_HEAD, MERIT, MOST_OF_HEAD, ORGAN_MM2, VOTERS_AGREE, VOTERS_NEAR
 
 if TYPE_CHECKING:
+    from xfemnav.imaging.vote import Ballot
     from xfemnav.imaging.working import Working
 
 METHODS = ("auto", "otsu", "vote", "svc")
-AGREEMENT = 0.9  # Dice that at least one pair of voters reaches when the vote is right
-SHARE_OF_HEAD = 0.38, 0.90  # brain / head area in axial, coronal and sagittal slices of adults
-LEAST_MM2 = 1500.0
 
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
     """`mask` (n1, n2) bool on the slice's pixels, and how it was found: mask, stripped, vote, otsu or svc.
 
-    `info` has area_mm2 and, by method, share_of_head, agreement (Dice of each pair of voters), kept (Dice with svc's
-    prior).
+    `info` has area_mm2 and, by method, share_of_head, agreement (Dice of each pair of voters), merit (see `vote.Looks`),
+    kept (Dice with svc's prior).
     """
 
     mask: np.ndarray
@@ -42,19 +41,22 @@ class Segmentation:
 
 
 def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = None, skull: str = "auto",
-            template: Image | None = None, template_mask: Image | None = None) -> Segmentation:
+            volume: Image | None = None, template: Image | None = None,
+            template_mask: Image | None = None) -> Segmentation:
     """Mask of the organ in `slice`.
 
-    `mask` (n1, n2): wins, except with method svc, whose prior it is. `skull`: "on" and "stripped" overrule the test.
-    `template` and `template_mask`: images on one grid in the slice's world frame, for svc without `mask`.
-    Raises E201 (nothing found), E202 (constant slice), E203 (no background), E206 (template); warns W205, W206, W209.
+    `mask` (n1, n2): wins, except with method svc, whose prior it is. `skull`: "on" and "stripped" overrule the test,
+    which looks at the whole `volume` that the slice is of, where it is given. `template` and `template_mask`: images on
+    one grid in the slice's world frame, for svc without `mask`.
+    Raises E201 (nothing found), E202 (constant slice), E203 (no background), E206 (template); warns W205, W206, W209,
+    W212.
     """
     if method not in METHODS:
         raise XfemnavError("E780", f"no segmentation method {method!r}; choose one of {', '.join(METHODS)}.")
     if method != "svc" and mask is not None:
         return _result(slice, clean(mask, slice.spacing), "mask", {})
     # scipy.ndimage and scikit-image, which a given mask does without
-    from xfemnav.imaging.stripped import foreground, is_stripped
+    from xfemnav.imaging.stripped import Verdict, foreground, judge
     from xfemnav.imaging.working import working_copy
 
     work = working_copy(slice)
@@ -64,18 +66,36 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
 
         found = classify(work, prior)
         return _result(slice, one_piece(work.back(found)), "svc", {"kept": dice(found, prior)})
-    if method == "auto" and skull != "on" and (skull == "stripped" or is_stripped(slice)):
-        return _result(slice, one_piece(foreground(slice)), "stripped", {})
+    if method == "auto" and skull != "on":
+        verdict = Verdict(True) if skull == "stripped" else judge(slice, volume)
+        if verdict.stripped:
+            return _result(slice, one_piece(foreground(slice)), "stripped", {}, verdict.doubt)
     from xfemnav.imaging.vote import head_of, largest_otsu, vote
 
     head = head_of(work)
     if method == "otsu":
-        found, info = largest_otsu(work), {}
+        found, info, doubts = largest_otsu(work), {}, []
     else:
-        found, members = vote(work, head)
-        info = {"agreement": {f"{a}-{b}": dice(members[a], members[b]) for a, b in combinations(members, 2)}}
-    info["share_of_head"] = float(found.sum() / max(head.sum(), 1))
-    return _result(slice, one_piece(work.back(found)), "otsu" if method == "otsu" else "vote", info)
+        found, ballots = vote(work, head)
+        info, doubts = _judged(ballots)
+    share = info["share_of_head"] = float(found.sum() / max(head.sum(), 1))
+    if not LEAST_OF_HEAD.value <= share <= MOST_OF_HEAD.value:
+        doubts.append(f"it is {share:.0%} of the head (usual: {LEAST_OF_HEAD.value:.0%} to {MOST_OF_HEAD.value:.0%})")
+    return _result(slice, one_piece(work.back(found)), "otsu" if method == "otsu" else "vote", info, *doubts)
+
+
+def _judged(ballots: "list[Ballot]") -> tuple[dict, list[str]]:
+    """What is told of the best ballot, and the reasons to doubt it."""
+    if not ballots:
+        return {}, []
+    best, doubts = ballots[0], []
+    second, first = sorted(best.agreement.values())[-2:]
+    if first < VOTERS_AGREE.value or second < VOTERS_NEAR.value:
+        doubts.append(f"its methods disagree (best Dice of two {first:.2f}, next {second:.2f})")
+    if best.looks.merit < MERIT.value:
+        doubts.append(f"its outline does not stand out as a brain's does (merit {best.looks.merit:.2f}, usual: above "
+                      f"{MERIT.value:g})")
+    return {"agreement": best.agreement, "merit": best.looks.merit}, doubts
 
 
 def _prior(slice: Slice, work: "Working", mask, template: Image | None, template_mask: Image | None) -> np.ndarray:
@@ -96,15 +116,15 @@ def _prior(slice: Slice, work: "Working", mask, template: Image | None, template
     return register(work.values, work.forth((values - low) / (high - low)), work.forth(organ), work.pixel)
 
 
-def _result(slice: Slice, mask: np.ndarray, method: str, info: dict) -> Segmentation:
-    """The segmentation with its area; W206 with every reason to doubt it."""
+def _result(slice: Slice, mask: np.ndarray, method: str, info: dict, *doubts: str) -> Segmentation:
+    """The segmentation with its area; W206 with every reason to doubt it, W212 where the image ends inside it."""
     area = float(mask.sum() * slice.spacing.prod())
-    doubts = [] if area >= LEAST_MM2 or method == "mask" else [f"its area is only {area:.0f} mm2"]
-    share, best = info.get("share_of_head", 0.6), max(info.get("agreement", {"": 1.0}).values())
-    if not SHARE_OF_HEAD[0] <= share <= SHARE_OF_HEAD[1]:
-        doubts.append(f"it is {share:.0%} of the head (usual: {SHARE_OF_HEAD[0]:.0%} to {SHARE_OF_HEAD[1]:.0%})")
-    if best < AGREEMENT:
-        doubts.append(f"no two of its methods agree (best Dice {best:.2f})")
+    doubts = list(filter(None, doubts))
+    if area < ORGAN_MM2.value and method != "mask":
+        doubts.insert(0, f"its area is only {area:.0f} mm2")
     if doubts:
         warn("W206", f"the segmentation ({method}) is doubtful: {'; '.join(doubts)}. Look at it; give --mask FILE.")
+    if length := touching(mask, slice.spacing):
+        warn("W212", f"the image ends inside the organ along {length:.0f} mm of its border: there is no skull there, and "
+                     "the outline is held. Do not trust the motion beside it; give an image that holds the whole organ.")
     return Segmentation(mask, method, {"area_mm2": area, **info})

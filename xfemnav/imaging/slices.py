@@ -22,6 +22,7 @@ from xfemnav.imaging.reading import Image
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal
 SKEW = 1e-3  # cosine between e1 and e2 up to which an affine is rounded, not sheared: .05 mm in 100 mm
 FLAT = 0.1  # mm off a plane up to which drawn points lie in it
+BESIDE = 0.75  # pixels: an outline of pixels that touch the image's border lies nearer to it, any other one farther
 SAME_PIXEL = 0.05  # pixels apart up to which two grids are one: files round their affines
 
 
@@ -79,12 +80,28 @@ class Slice:
         """Plane mm (n1, n2, 2) of the pixel centres."""
         return self.origin + np.moveaxis(np.indices(self.values.shape), 0, -1) * self.spacing
 
+    def border(self, mask) -> tuple | None:
+        """Where the image ends inside the organ of a `mask` (n1, n2): the corners (low, high) of the pixels' rectangle,
+        plane mm, and how far (mm) an outline of the mask may lie from its sides; None when the mask does not touch them.
+        """
+        if not touching(mask, self.spacing):
+            return None
+        low = self.origin - self.spacing / 2
+        high = low + self.spacing * self.values.shape
+        return tuple(low.tolist()), tuple(high.tolist()), float(BESIDE * self.spacing.max())
+
     def to_storage(self, values) -> np.ndarray:
         """`values` (n1, n2, ...) on the slice's pixels, as an array of the file's order with one slice."""
         values = np.flip(values, [k for k in (0, 1) if self.flipped[k]])
         if self.array_axes[0] > self.array_axes[1]:
             values = values.swapaxes(0, 1)
         return np.expand_dims(values, self.array_axes[2])
+
+
+def touching(mask: np.ndarray, spacing) -> float:
+    """Length, mm, along which a mask (n1, n2) touches the image's border."""
+    ends = mask[[0, -1]].sum() * spacing[1] + mask[:, [0, -1]].sum() * spacing[0]
+    return float(ends)
 
 
 def take_slice(image: Image, *, plane: str | None = None, index: int | None = None,

@@ -1,9 +1,14 @@
 """Three ways to find the brain in a slice of a head, and their vote.
 
 Each fails on other slices: the largest bright component where scalp joins brain, the watershed where the skull is
-thin, the search where nothing stands out; hence the majority. All lengths are in mm on the working copy; the copy's
-values are about 0 in air and 1 in the brightest tissue.
+thin, the search where nothing stands out; hence the majority. What is bright depends on the contrast and on how a
+scanner or a program maps its signal to grey values, so they vote in several tones, powers of the brightness that bring
+the core of the head to set levels, and the vote whose outline looks most like a brain's is taken. All lengths are in mm
+on the working copy; the copy's values are about 0 in air and 1 in the brightest tissue.
 """
+
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy import ndimage
@@ -12,7 +17,7 @@ from skimage.measure import regionprops
 from skimage.segmentation import watershed
 
 from xfemnav.imaging.discs import depth, dilate, opened, sealed
-from xfemnav.imaging.masks import largest_component
+from xfemnav.imaging.masks import dice, largest_component
 from xfemnav.imaging.working import Working
 
 OPEN_MM, CLOSE_MM = 2.0, 6.0  # removes strands of scalp and dura; bridges sulci
@@ -20,6 +25,10 @@ THRESHOLDS = (0.7, 0.85, 1.0, 1.15, 1.3)  # of Otsu's
 OPENINGS_MM = (1.0, 2.0, 4.0, 6.0)
 SCALP_MM = 5.0  # the outermost tissue of a head is never brain
 CORE = 0.45  # of the head's greatest depth: deeper is brain
+TONES, REFERENCE = (0.35, 0.5, 0.65, 0.8), 0.55  # levels of the core: in which they vote, in which votes are compared
+FLUID, FLUID_RIM = 1.3, 0.35  # of the brain's median brightness, and of its rim: in T2 there is bright fluid
+COMMON = 0.1  # Dice: methods of which only two have more in common than this have found noise
+ENOUGH = 0.3  # of the brightness: more of a step at the outline is scalp against air
 
 
 def head_of(work: Working) -> np.ndarray:
@@ -79,10 +88,77 @@ def central(mask: np.ndarray, below: np.ndarray) -> np.ndarray:
     return labels == 1 + np.argmax(ndimage.sum_labels(below**2, labels, np.arange(1, n + 1)))
 
 
-def vote(work: Working, head: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Majority mask (m1, m2) of the three methods in a `head` (m1, m2), cleaned, and the members."""
+@dataclass(frozen=True, eq=False)
+class Ballot:
+    """The vote in one tone: its `mask` (m1, m2), the Dice of each pair of the three methods, and how brain-like its
+    outline looks, with the fluid around the brain where that is bright."""
+
+    mask: np.ndarray
+    agreement: dict[str, float]
+    looks: "Looks"
+
+
+@dataclass(frozen=True)
+class Looks:
+    """What a mask's outline looks like, in the reference tone: brightness as a share of the mask's median.
+
+    step: of a rim of 3 mm over a ring beyond it, medians; beyond: the ring's upper quartile; solidity; near: share of
+    the rim that lies within 8 mm of the air.
+    """
+
+    step: float
+    beyond: float
+    solidity: float
+    near: float
+
+    @property
+    def merit(self) -> float:
+        """Large for a bright, solid brain in a dark ring, away from the scalp."""
+        return min(self.step, ENOUGH) + 4 * self.solidity - 4 * self.near - 2 * self.beyond
+
+
+def looks_of(mask: np.ndarray, values: np.ndarray, below: np.ndarray, pixel: float) -> Looks:
+    """Looks of a mask (m1, m2), not empty, in a tone of `values`; `below` (m1, m2): depth in the head, mm."""
+    inner, outer = depth(mask) * pixel, ndimage.distance_transform_edt(~mask) * pixel
+    rim, ring = mask & (inner <= 3), (outer > 1) & (outer <= 4)
+    level = max(float(np.median(values[mask])), 1e-3)
+    around = values[ring] if ring.any() else np.zeros(1)
+    return Looks(float(np.median(values[rim]) - np.median(around)) / level, float(np.percentile(around, 75)) / level,
+                 float(regionprops(mask.astype(np.uint8))[0].solidity), float(np.mean(below[rim] < SCALP_MM + 3)))
+
+
+def vote(work: Working, head: np.ndarray) -> tuple[np.ndarray, list[Ballot]]:
+    """Majority mask (m1, m2) of the three methods in a `head` (m1, m2), cleaned, and the ballots, the best one first.
+
+    The mask is empty when no tone shows anything.
+    """
+    below = depth(head) * work.pixel
+    core = below > CORE * below.max()
+    reference = work.toned(REFERENCE, core).values
+    found = [_ballot(work.toned(level, core), head, below, reference) for level in TONES]
+    ballots = sorted(filter(None, found), key=lambda ballot: -ballot.looks.merit)
+    return ballots[0].mask if ballots else np.zeros(head.shape, bool), ballots
+
+
+def _ballot(work: Working, head: np.ndarray, below: np.ndarray, reference: np.ndarray) -> Ballot | None:
+    """The vote in the tone of `work`, compared in that of `reference` (m1, m2); None when nothing is found."""
     members = {"otsu": largest_otsu(work), "watershed": marker_watershed(work, head),
                "search": best_candidate(work, head)}
     majority = sum(member.astype(int) for member in members.values()) >= 2
-    core = central(opened(majority, OPEN_MM / work.pixel), depth(head) * work.pixel)
-    return sealed(core, CLOSE_MM / work.pixel), members
+    core = central(opened(majority, OPEN_MM / work.pixel), below)
+    agreement = {f"{a}-{b}": dice(members[a], members[b]) for a, b in combinations(members, 2)}
+    if not core.any() or sorted(agreement.values())[1] < COMMON:
+        return None
+    mask = sealed(core, CLOSE_MM / work.pixel)
+    looks = looks_of(mask, reference, below, work.pixel)
+    return Ballot(_peeled(mask, reference, below, work.pixel), agreement, looks)
+
+
+def _peeled(mask: np.ndarray, values: np.ndarray, below: np.ndarray, pixel: float) -> np.ndarray:
+    """A mask (m1, m2) without the fluid around the brain where that is bright (T2), in the reference tone."""
+    inner = depth(mask) * pixel
+    fluid = mask & (values > FLUID * np.median(values[mask]))
+    if np.mean(fluid[mask & (inner <= 3)]) < FLUID_RIM:
+        return mask
+    core = central(opened(mask & ~(fluid & (inner <= CLOSE_MM)), OPEN_MM / pixel), below)
+    return sealed(core, CLOSE_MM / pixel) & mask if core.any() else mask

@@ -3,7 +3,7 @@
 Radii are then the same in mm on every scan, and thresholds the same for every scale and offset of the intensities.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -14,6 +14,8 @@ from xfemnav.imaging.slices import Slice
 
 PIXEL_MM = 1.0
 MOST_PIXELS = 2**20
+POWERS = 0.2, 5.0  # of tone curves
+LEAST_BACKGROUND = 0.03  # of a slice: what is rarer is no constant that a program wrote around the organ
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,12 @@ class Working:
         """A mask of the copy on the slice's own pixels, bool (n1, n2)."""
         return resize(mask.astype(float), 1 / self.ratio, self.shape) > 0.5
 
+    def toned(self, level: float, core: np.ndarray) -> "Working":
+        """The same with a tone curve, a power, that brings the median brightness of a `core` (m1, m2) to `level`."""
+        median = float(np.clip(np.median(self.values[core]), 0.02, 0.98))
+        power = float(np.clip(np.log(level) / np.log(median), *POWERS))
+        return replace(self, values=np.clip(self.values, 0, None) ** power)
+
 
 def resize(values: np.ndarray, ratio, shape) -> np.ndarray:
     """`values` on a grid of `shape` whose pixels are `ratio` (2,) of the old ones; both grids cover the same area."""
@@ -48,12 +56,28 @@ def working_copy(slice: Slice) -> Working:
     if values.max() == values.min():
         raise XfemnavError("E202", f"the {slice.plane} slice at {slice.offset:.2f} mm is constant ({values[0, 0]:g}): "
                                    "choose another one, or give --mask FILE.")
+    # Air is darker than any tissue, but a constant that a program wrote there may lie amid the values of tissue.
+    outside = background(values)
+    if outside.mean() > LEAST_BACKGROUND:
+        values = np.where(outside, values.min(), values)
     extent = np.array(values.shape) * slice.spacing
     pixel = max(PIXEL_MM, float(np.sqrt(extent.prod() / MOST_PIXELS)))
     shape = tuple(int(n) for n in np.maximum(np.rint(extent / pixel), 1))
     ratio = np.array(values.shape) / shape
     low, high = robust_range(values)
     return Working((resize(values, ratio, shape) - low) / (high - low), pixel, values.shape, ratio)
+
+
+def background(values: np.ndarray) -> np.ndarray:
+    """Pixels (n1, n2) outside a stripped organ: the commonest value on the slice's edge, where it reaches the edge."""
+    levels, counts = np.unique(_edge(values), return_counts=True)
+    labels, _ = ndimage.label(values == levels[np.argmax(counts)])
+    edge = _edge(labels)
+    return np.isin(labels, edge[edge > 0])
+
+
+def _edge(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
 
 
 def robust_range(values: np.ndarray) -> tuple[float, float]:

@@ -110,7 +110,8 @@ class Mixing:
 def incise(
     organ: Condensation, cuts: tuple[Cut, ...], tip_enrichment: str = "topological", tip_radius_mm: float | None = None
 ) -> Incision:
-    """Cut the organ. Raises OutOfReach, CutThrough, XfemnavError E407."""
+    """Cut the organ. Raises OutOfReach, CutThrough, XfemnavError E302, E407."""
+    organ.skull.refuse_mouths(cuts)
     space, part = _space(organ, cuts, tip_enrichment, tip_radius_mm)
     mesh, table, sub = space.mesh, space.enrichment, space.subcells
     material = _restricted(organ.material, part.cells)

@@ -41,6 +41,8 @@ class Skull:
     What is held by nothing but contact (which holds nobody back from leaving, or from sliding along) also hangs on
     springs of 1e-6 E / mm along the outline: they carry under 1e-4 of a brain's weight where contact bears it, and keep
     it in its place where nothing else does.
+    `border`: None, or the rectangle (low, high) (2,) mm in which the image ends, and how near to it (mm) the outline is
+    the image's end and no skull: tissue goes on there, so it is fixed whatever else is said, and no mouth opens it.
     """
 
     kind: str = "fixed"
@@ -48,9 +50,26 @@ class Skull:
     ramp_mm: float = 4.0
     gap_mm: float = 0.0
     arcs: tuple[Arc, ...] = ()
+    border: tuple[tuple[float, float], tuple[float, float], float] | None = None
 
     def __post_init__(self):
         check_kind(self.kind, self.gap_mm)
+
+    def ends(self, points) -> np.ndarray:
+        """Whether the image ends at points (k, 2) mm of the outline, (k,) bool."""
+        if self.border is None:
+            return np.zeros(len(points), dtype=bool)
+        low, high, near = self.border
+        return np.min(np.abs(np.stack([points - low, points - high])), axis=(0, 2)) < near
+
+    def refuse_mouths(self, cuts) -> None:
+        """Raises XfemnavError E302 for a cut that enters where the image ends: there is no surface to open."""
+        for cut in cuts:
+            if cut.mouth and self.ends(cut.path[:1])[0]:
+                x, y = cut.path[0]
+                raise XfemnavError("E302", f"cut '{cut.name}' enters at ({x:.1f}, {y:.1f}) mm, where the image ends "
+                                           "inside the organ: there is no surface to open. Give an image that holds "
+                                           "the organ where the cut enters.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,16 +124,18 @@ def skull_conditions(
     n_dof = space.enrichment.n_dof
     rim = rim_points(space)
     kinds, gaps = facet_kinds(space, skull.kind, skull.gap_mm, skull.arcs)
+    ends = skull.ends(space.subcells.rim_ends.mean(axis=1))
+    kinds[ends] = "fixed"
     known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
     if measured is not None:
         known, values = measured_at(space, rim, np.asarray(measured, float), pulled)
     depth = _Depth(space, kinds, skull.craniotomy_mm, mouths)
-    rigid = ~known & (depth(rim.points) >= _rigid_from(skull, rim.lengths))
+    rigid = ~known & (ends[rim.facet] | (depth(rim.points) >= _rigid_from(skull, rim.lengths)))
     kind = kinds[rim.facet]
     fixed, sliding, b = rigid & (kind == "fixed"), rigid & (kind == "sliding"), len(kinds)
     parts = [_vector_conditions(space, rim, fixed, np.zeros((len(rim.points), 2)))] if fixed.any() else []
     parts += [_sliding_conditions(space, rim, sliding)] if sliding.any() else []
-    springs = _springs(space, skull, depth, kinds, material, ~(known[:b] & known[b : 2 * b]))
+    springs = _springs(space, skull, depth, kinds, material, ~ends & ~(known[:b] & known[b : 2 * b]))
     load = np.zeros(n_dof)
     if measured is not None and weight is None:
         parts.insert(0, _vector_conditions(space, rim, known, values))

@@ -162,7 +162,7 @@ def pose(
     Raises
     ------
     XfemnavError
-        E305 a cut along the outline, E306 a piece that nothing holds, E311 a resection too small for the mesh, E402 a
+        E302 a cut that enters where the image ends, E305 a cut along the outline, E306 a piece that nothing holds, E311 a resection too small for the mesh, E402 a
         blade off its cut, E403 two blades on one lip, E405 lips pushed into each other, E406 nothing holds the organ,
         E408 measured points off the outline, E411 Nitsche's lips with the neo-Hookean model.
     """
@@ -176,6 +176,7 @@ def pose(
         raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
     if model not in MODELS:
         raise ValueError(f"model is {model!r}, not one of {MODELS}")
+    skull.refuse_mouths(cuts)
     if model != "linear" and lip_constraint == "nitsche":
         raise XfemnavError("E411", "lips by Nitsche's condition are linear; use --lip-constraint mortar with it.")
     if material.stress_state == "strain" and (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:

@@ -58,7 +58,7 @@ class Session:
         config = configure("organ" if organ is not None else image, scenario, given, until="mesh")
         self._settings, self._warp, self.reach_mm = config.constrain, config.warp, reach_mm
         _refuse(config)
-        self.frame, self.mesh, self._material, plan = _prepared(config, organ)
+        self.frame, self.mesh, self._material, self._border, plan = _prepared(config, organ)
         self._condense(self._placed(plan))
         self._incision = self._drawn = self._asked = None
 
@@ -224,7 +224,7 @@ class Session:
         from xfemnav.mechanics.outline import Skull
 
         settings, mouths = self._settings, plan.path[:1] if plan.mouth and plan.craniotomy else ()
-        skull = Skull(settings.skull, settings.craniotomy_mm, settings.skull_ramp_mm)
+        skull = Skull(settings.skull, settings.craniotomy_mm, settings.skull_ramp_mm, border=self._border)
         tips, radius = plan.path[-1:] if plan.mouth else plan.path[[0, -1]], 0.0
         if settings.tip_enrichment == "geometric":
             radius = tip_reach(self.mesh, plan)
@@ -303,25 +303,27 @@ def _refuse(config) -> None:
 
 
 def _prepared(config, organ):
-    """The slice, the mesh, the tissue and the planned cut (k, 2) plane mm, by the functions of the stages."""
+    """The slice, the mesh, the tissue, where the image ends inside it, and the planned cut (k, 2) plane mm, by the
+    functions of the stages."""
     from xfemnav.pipeline import stage_constrain, stage_mesh, stage_segment
     from xfemnav.pipeline.chain import Inputs
 
     params, inputs = config.constrain, Inputs(config)
-    drawn, slice = params.cuts[0], None
+    drawn, slice, border = params.cuts[0], None, None
     plan = np.array(drawn.points)
     if organ is None:
         from xfemnav.imaging.frames import facts
         from xfemnav.imaging.slices import plane_points
         from xfemnav.pipeline.frame_check import frame_doubts
 
-        inputs.values["segment"] = slice, _ = stage_segment.compute(config.segment, inputs)
+        inputs.values["segment"] = slice, segmentation = stage_segment.compute(config.segment, inputs)
         found = {role: facts(image.frames, image.values.shape) for role, image in inputs.images.items()}
         for text in frame_doubts(inputs, found):
             warn("W114", text)
+        border = slice.border(segmentation.mask)
         inputs.values["mesh"] = organ = stage_mesh.compute(config.mesh, inputs)
         plan = plane_points(slice, plan, drawn.space)
-    return slice, organ, stage_constrain.tissue(params, organ, inputs), plan
+    return slice, organ, stage_constrain.tissue(params, organ, inputs), border, plan
 
 
 def _told(modes, answer) -> dict:

@@ -18,7 +18,7 @@ def compute(params, inputs):
     from xfemnav.mechanics.outline import Arc
     from xfemnav.mechanics.problem import Retraction, Skull, pose
 
-    slice, _ = inputs.value("segment")
+    slice, segmentation = inputs.value("segment")
     mesh = inputs.value("mesh")
     outline = mesh.points[mesh.boundary_loops[0]]
     cuts = _placed(params.cuts, [_drawn_path(cut, inputs) for cut in params.cuts], outline)
@@ -32,7 +32,8 @@ def compute(params, inputs):
     number = {k: i for i, k in enumerate(taken)} | {None: None}
     return pose(
         mesh, cuts, tissue(params, mesh, inputs),
-        Skull(params.skull, params.craniotomy_mm, params.skull_ramp_mm, params.skull_gap_mm, arcs), blades,
+        Skull(params.skull, params.craniotomy_mm, params.skull_ramp_mm, params.skull_gap_mm, arcs,
+              slice.border(segmentation.mask)), blades,
         resections=tuple(taken.values()),
         loose=params.loose_pieces, lips=params.lips, boundary_displacement=_measured(slice, params),
         boundary_weight=params.displacement_weight, tip_enrichment=params.tip_enrichment,

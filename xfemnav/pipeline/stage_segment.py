@@ -7,13 +7,14 @@ def compute(params, inputs):
     from xfemnav.imaging.segment import segment
     from xfemnav.imaging.slices import take_slice, values_on
 
-    slice = take_slice(inputs.image("image"), plane=params.plane, index=params.index, position_mm=params.position_mm)
+    image = inputs.image("image")
+    slice = take_slice(image, plane=params.plane, index=params.index, position_mm=params.position_mm)
     mask = None
     if "mask" in inputs.files:
         image = inputs.image("mask")
         mask = mask_of(image, values_on(image, slice, resample="nearest" if params.resample_mask else None))
     templates = {role: inputs.image(role) for role in ("template", "template_mask") if role in inputs.files}
-    return slice, segment(slice, method=params.method, mask=mask, skull=params.skull, **templates)
+    return slice, segment(slice, method=params.method, mask=mask, skull=params.skull, volume=image, **templates)
 
 
 def facts(value, inputs):
