@@ -1,7 +1,7 @@
 """Heads with skull and scalp in slices up to the vertex, in three contrasts, whose brain is known.
 
-Brain, fluid, skull and scalp are ellipsoids one in the other: `phantom.py`'s ellipse with its gyri in the slice at
-height 0, and half as high as HALF_HEIGHT. Towards the vertex the brain shrinks, and the shells are cut ever more aslant.
+Brain, fluid, skull and scalp are ellipsoids one in the other: in the slice at height 0 the brain is the ellipse of
+`phantom.py` with its gyri. Towards the vertex it shrinks, and the shells are cut ever more aslant.
 """
 
 from dataclasses import dataclass, field

@@ -69,13 +69,13 @@ def test_the_outline_is_held_there_whatever_the_skull_and_near_any_mouth(kind):
 def test_a_run_holds_the_border_beside_a_mouth(cropped, tmp_path):
     """The mouth is 11 mm from the border: the craniotomy of 20 mm would have freed it."""
     with pytest.warns(XfemnavWarning, match="W212"):
-        result = xfemnav.run(cropped, cut="-60,12 -15,8", opening_mm=6, blade="0,0.6", output=tmp_path / "out",
+        result = xfemnav.run(cropped, cut="-60,12 -15,8", opening_mm=3, blade="0,0.6", output=tmp_path / "out",
                              cache=tmp_path / "cache", report=False, **COARSE)
     assert [w["code"] for w in result.record["warnings"]] == ["W212"]
     assert "along 88 mm" in result.record["warnings"][0]["text"]
     along = np.column_stack([np.linspace(-36, 36, 33), np.full(33, END + 0.2)])
     assert np.linalg.norm(result.displacement(along), axis=1).max() < 0.1
-    assert np.linalg.norm(result.displacement([[-40.0, 16.0]])) > 1.0, "and elsewhere it is open"
+    assert np.linalg.norm(result.displacement([[-40.0, 16.0]])) > 0.5, "and elsewhere it is open"
 
 
 @pytest.mark.filterwarnings("ignore::xfemnav.errors.XfemnavWarning")
@@ -92,7 +92,7 @@ def test_a_cut_through_the_border_is_refused(cropped, tmp_path):
 def test_only_what_lies_on_the_border_is_refused():
     mesh = disc()
     cut = cut_in(mesh, (3, 80), (1.7, 12.3))
-    x, y = cut.path[0]
+    y = cut.path[0, 1]
     pose(mesh, (cut,), BRAIN, Skull(border=((-99.0, -99.0), (99.0, y - 2.0), 1.0)))
     with pytest.raises(XfemnavError, match="E302"):
         pose(mesh, (cut,), BRAIN, Skull(border=((-99.0, -99.0), (99.0, y + 0.2), 1.0)))

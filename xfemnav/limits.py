@@ -72,7 +72,7 @@ SHRED_AREA = Limit(0.02, "", "smallest share of the tissue that a blade may hold
 
 BRAIN_MM2 = Limit(22_000.0, "mm²", "cross-section of a brain; more that is not background may be a head (W206)")
 RIM_DIP = Limit(0.09, "", "dip of brightness below the rim of a stripped slice, of the brightness in depth (W206)")
-# Limits of a brain found in a head: docs/segmentation.md has what they were measured on.
+# Limits of a brain found in a head, set on slices of heads whose brain is known.
 ORGAN_MM2 = Limit(2000.0, "mm²", "least area of the organ (W206)")
 LEAST_OF_HEAD = Limit(0.2, "", "least share of the head that is brain (W206)")
 MOST_OF_HEAD = Limit(0.78, "", "largest share of the head that is brain (W206)")

@@ -28,8 +28,8 @@ METHODS = ("auto", "otsu", "vote", "svc")
 class Segmentation:
     """`mask` (n1, n2) bool on the slice's pixels, and how it was found: mask, stripped, vote, otsu or svc.
 
-    `info` has area_mm2 and, by method, share_of_head, agreement (Dice of each pair of voters), merit (see `vote.Looks`),
-    kept (Dice with svc's prior).
+    `info` has area_mm2 and, by method, share_of_head, agreement (Dice of each pair of voters), merit (of
+    `vote.Looks`), kept (Dice with svc's prior).
     """
 
     mask: np.ndarray
@@ -125,6 +125,7 @@ def _result(slice: Slice, mask: np.ndarray, method: str, info: dict, *doubts: st
     if doubts:
         warn("W206", f"the segmentation ({method}) is doubtful: {'; '.join(doubts)}. Look at it; give --mask FILE.")
     if length := touching(mask, slice.spacing):
-        warn("W212", f"the image ends inside the organ along {length:.0f} mm of its border: there is no skull there, and "
-                     "the outline is held. Do not trust the motion beside it; give an image that holds the whole organ.")
+        warn("W212", f"the image ends inside the organ along {length:.0f} mm of its border: there is no skull there, "
+                     "and the outline is held. Do not trust the motion beside it; give an image that holds the whole "
+                     "organ.")
     return Segmentation(mask, method, {"area_mm2": area, **info})

@@ -81,8 +81,9 @@ class Slice:
         return self.origin + np.moveaxis(np.indices(self.values.shape), 0, -1) * self.spacing
 
     def border(self, mask) -> tuple | None:
-        """Where the image ends inside the organ of a `mask` (n1, n2): the corners (low, high) of the pixels' rectangle,
-        plane mm, and how far (mm) an outline of the mask may lie from its sides; None when the mask does not touch them.
+        """Where the image ends inside the organ of a `mask` (n1, n2): the corners (low, high) of the pixels'
+        rectangle, plane mm, and how far (mm) from its sides an outline lies on them; None when the mask does not touch
+        them.
         """
         if not touching(mask, self.spacing):
             return None

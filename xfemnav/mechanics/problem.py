@@ -162,9 +162,10 @@ def pose(
     Raises
     ------
     XfemnavError
-        E302 a cut that enters where the image ends, E305 a cut along the outline, E306 a piece that nothing holds, E311 a resection too small for the mesh, E402 a
-        blade off its cut, E403 two blades on one lip, E405 lips pushed into each other, E406 nothing holds the organ,
-        E408 measured points off the outline, E411 Nitsche's lips with the neo-Hookean model.
+        E302 a cut that enters where the image ends, E305 a cut along the outline, E306 a piece that nothing holds, E311
+        a resection too small for the mesh, E402 a blade off its cut, E403 two blades on one lip, E405 lips pushed into
+        each other, E406 nothing holds the organ, E408 measured points off the outline, E411 Nitsche's lips with the
+        neo-Hookean model.
     """
     if lip_constraint not in LIP_CONSTRAINTS:
         raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
