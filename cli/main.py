@@ -7,11 +7,21 @@ import io
 import os
 import sys
 import traceback
+import warnings
 
 import click
 
 from xfemnav import __version__
-from xfemnav.errors import EXIT_BUG, EXIT_DATA, EXIT_OK, EXIT_UNTRUSTED, EXIT_USAGE, FAULTS, XfemnavError
+from xfemnav.errors import (
+    EXIT_BUG,
+    EXIT_DATA,
+    EXIT_OK,
+    EXIT_UNTRUSTED,
+    EXIT_USAGE,
+    FAULTS,
+    XfemnavError,
+    XfemnavWarning,
+)
 from xfemnav.interruption import Interrupted, checkpoint, note_signals
 from xfemnav_cli import batch, run, telling, tools
 from xfemnav_cli.telling import complain, printable
@@ -41,6 +51,9 @@ def main(argv: list[str] | None = None) -> None:
     atexit.register(gc.freeze)
     argv = sys.argv[1:] if argv is None else argv
     traced = "-vv" in argv
+    if not traced and not sys.warnoptions:
+        warnings.simplefilter("ignore")  # what a library doubts is said with a code, or means nothing here
+        warnings.simplefilter("default", XfemnavWarning)
     try:
         code = cli.main(argv, prog_name="xfemnav", standalone_mode=False) or 0
         checkpoint()

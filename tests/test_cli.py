@@ -67,6 +67,14 @@ def test_a_cached_run_imports_no_numerics(head, capfd):
     assert done.returncode == 0 and done.stdout.count(" cached ") == 5, done.stderr
 
 
+@pytest.mark.parametrize("wanted, told", [((), False), (("-W", "default"), True)])
+def test_a_librarys_warning_is_told_to_those_who_ask_for_it(wanted, told):
+    code = ("import warnings\nfrom xfemnav.pipeline import runfile\nfrom xfemnav_cli.main import main\n"
+            "runfile.run_schema = lambda: warnings.warn('a library is in doubt', RuntimeWarning)\nmain(['schema', 'run'])")
+    done = subprocess.run([sys.executable, *wanted, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0 and ("in doubt" in done.stderr) == told
+
+
 def test_stdout_has_one_line_a_stage_and_the_place_of_the_results(head, capfd):
     code, stdout, _ = xfemnav(capfd, *command(head))
     lines = stdout.splitlines()

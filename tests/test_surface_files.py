@@ -14,7 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.fuzz.surface_seeds import FACES, POINTS, SEEDS, STRIPS, STRIPS_XML, gii, ply, vtk, vtp
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.surface_files import decoded_surface, read_surface, surface_ending
+from xfemnav.imaging.endings import SURFACES, ending_of
+from xfemnav.imaging.surface_files import decoded_surface, read_surface
 
 LPS = np.array([-1.0, -1.0, 1.0])
 SHIFT = np.array([1.0, 2, 3])
@@ -222,7 +223,7 @@ def test_meshio_reads_what_is_written(tmp_path):
 
 
 def test_endings():
-    assert [surface_ending(name) for name in ("A.STL", "lh.pial.surf.gii", "a.gii", "a.vtu", "a")] == [
+    assert [ending_of(name, SURFACES) for name in ("A.STL", "lh.pial.surf.gii", "a.gii", "a.vtu", "a")] == [
         ".stl", ".surf.gii", ".gii", "", ""]
 
 

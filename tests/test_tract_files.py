@@ -10,7 +10,8 @@ from nibabel.streamlines import TckFile, Tractogram, TrkFile
 from numpy.testing import assert_allclose, assert_array_equal
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.tract_files import decoded_streamlines, file_like, read_streamlines, tract_bytes, tract_ending
+from xfemnav.imaging.endings import TRACTS, ending_of
+from xfemnav.imaging.tract_files import decoded_streamlines, file_like, read_streamlines, tract_bytes
 
 LINES = [np.random.default_rng(n).normal(scale=40, size=(n, 3)).astype(np.float32) for n in (5, 1, 9)]
 # 2 mm voxels stored to the left, with an oblique frame
@@ -97,7 +98,7 @@ def test_gzip_is_read_and_written_to_its_checksum(tmp_path):
     whole = written(tmp_path, ".trk").read_bytes()
     packed = gzip.compress(whole)
     file = decoded_streamlines(packed, "a.trk.gz")
-    made = tract_bytes(file, tract_ending("A.TRK.GZ"))
+    made = tract_bytes(file, ending_of("A.TRK.GZ", TRACTS))
     assert made[:2] == b"\x1f\x8b" and made == tract_bytes(file, ".trk.gz")    # and no time of day in it
     for new, line in zip(decoded_streamlines(made, "b.trk.gz").streamlines, LINES):
         assert_allclose(new, line, atol=1e-4)

@@ -27,7 +27,7 @@ from xfemnav.imaging.points import FARTHEST
 from xfemnav.imaging.reading import content_digest, read_image
 from xfemnav.imaging.slices import PLANES, take_slice, to_nifti
 from xfemnav.imaging.surface_files import decoded_surface
-from xfemnav.imaging.tract_files import decoded_streamlines, tract_bytes, tract_ending
+from xfemnav.imaging.tract_files import decoded_streamlines, tract_bytes
 from xfemnav.imaging.vtk_grid import grid
 from xfemnav.pipeline.config import configure, scenario_problems
 from xfemnav.pipeline.scenario import Scenario
@@ -110,7 +110,7 @@ def surface(data: bytes) -> bool:
         file = refused_or(decoded_streamlines, content, name)
         if file is None:
             return False
-        again = decoded_streamlines(tract_bytes(file, tract_ending(name)), name)
+        again = decoded_streamlines(tract_bytes(file, name[1:]), name)
         assert len(again.streamlines) == len(file.streamlines)
         return True
     found = refused_or(decoded_surface, content, name)

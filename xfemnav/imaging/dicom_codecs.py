@@ -8,7 +8,6 @@ import os
 import struct
 import sys
 import tempfile
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from xfemnav.errors import XfemnavError
+from xfemnav.imaging.content import silenced
 
 JPEG = {f"1.2.840.10008.1.2.4.{n}" for n in (50, 51, 57, 70, 80, 81, 90, 91)}  # each ends with the mark FF D9
 RLE = "1.2.840.10008.1.2.5"
@@ -129,8 +129,7 @@ def _alone(path: Path, stream: bytes, bits: int, fields: dict) -> Path:
     plane.BitsStored, plane.HighBit = bits, bits - 1
     plane.add_new(0x7FE00010, "OB", encapsulate([stream]))
     plane["PixelData"].is_undefined_length = True
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with silenced():
         plane.save_as(path, enforce_file_format=True)
     return path
 

@@ -6,11 +6,10 @@ each element of a nested sequence, and would inflate a deflated file whole, howe
 """
 
 import io
-import warnings
 from typing import NamedTuple
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.content import Forwards, Zlib
+from xfemnav.imaging.content import Forwards, Zlib, silenced
 from xfemnav.imaging.formats import impossible
 
 META = 132  # where the elements start, behind DICM
@@ -46,8 +45,7 @@ class Elements(NamedTuple):
 
 def walked(data: bytes, room: int, name: str) -> Elements | None:
     """The elements of a file up to its pixels; None where it is no image. Raises E101, E102, E105."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what pydicom doubts is checked here, or means nothing to an image
+    with silenced():  # what pydicom doubts is checked here, or means nothing to an image
         try:
             return _elements(data, room, name)
         except Exception as error:  # pydicom raises what it likes, and OSError for whatever reading a sequence raised

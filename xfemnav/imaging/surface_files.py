@@ -16,13 +16,13 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging import gifti, obj, ply, stl, vtk_legacy, vtk_polydata
 from xfemnav.imaging.content import file_bytes
+from xfemnav.imaging.endings import ending_of
 from xfemnav.imaging.formats import LPS_TO_RAS
 from xfemnav.imaging.points import FARTHEST
 from xfemnav.imaging.surface_form import Form, unreadable
 
 READERS = {".stl": stl.decoded, ".vtk": vtk_legacy.decoded, ".vtp": vtk_polydata.decoded, ".gii": gifti.decoded,
            ".obj": obj.decoded, ".ply": ply.decoded}
-SUFFIXES = (*READERS, ".surf.gii")  # the last one says what a .gii holds, and is kept
 FRAMES = {"ras": np.eye(4), "lps": LPS_TO_RAS}
 
 
@@ -47,12 +47,6 @@ class Surface:
         object.__setattr__(self, "count", frozen_array(self.count, int, (None,), "count"))
 
 
-def surface_ending(path) -> str:
-    """The ending of a surface's name in lower case, "" for another name."""
-    name = Path(path).name.lower()
-    return max((ending for ending in SUFFIXES if name.endswith(ending)), key=len, default="")
-
-
 def read_surface(path, *, space: str = "ras", max_memory_gb: float = 4.0) -> Surface:
     """The surface in the file at `path`; `space` (ras or lps) is that of a file that does not say its own.
 
@@ -64,11 +58,11 @@ def read_surface(path, *, space: str = "ras", max_memory_gb: float = 4.0) -> Sur
 
 def decoded_surface(content: bytes, name: str, space: str = "ras", limit: int = 4_000_000_000) -> Surface:
     """The surface in the bytes of a file called `name`; see `read_surface`."""
-    ending = surface_ending(name)
+    ending = ending_of(name, tuple(READERS))
     if not ending:
         raise XfemnavError("E701", f"{name} is no surface that xfemnav knows; give {', '.join(READERS)}.")
     with np.errstate(all="ignore"):  # what overflows is refused by its result
-        form = READERS[ending[ending.rfind("."):]](content, name, limit)
+        form = READERS[ending](content, name, limit)
     _check(form, name)
     affine, words, stated = _frame(form, name, space)
     inverse = np.linalg.inv(affine)

@@ -161,9 +161,9 @@ class _Faces:
     def gone(self, flag, motion, organ) -> np.ndarray:
         """Faces (m,) bool that have tissue in them that was resected."""
         lost = self.any((flag == RESECTED)[self.corners])
-        rest = shapely.polygons(motion.rest)
-        whole = shapely.polygons(organ)
-        if shapely.area(whole).sum() - shapely.area(rest).sum() <= LIP**2:
+        rest, whole = shapely.polygons(motion.rest), shapely.polygons(organ)
+        area = shapely.area(whole).sum()
+        if area - shapely.area(rest).sum() <= SAME * area:
             return lost
         hole = shapely.union_all(whole).difference(shapely.union_all(rest)).buffer(-LIP)
         return lost | self._meet(hole, ~lost)

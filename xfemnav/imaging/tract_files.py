@@ -21,7 +21,6 @@ from xfemnav.imaging.content import GZIP_MAGIC, file_bytes, silenced, unpacked
 from xfemnav.imaging.formats import VOXEL_MM
 from xfemnav.imaging.points import FARTHEST
 
-SUFFIXES = (".trk", ".trk.gz", ".tck", ".tck.gz")
 PROPERTY, PROPERTIES = "motion", 10  # what a .trk calls our flags, and how many values a streamline it can hold
 KINDS = ((TrkFile, b"TRACK"), (TckFile, b"mrtrix tracks"))
 UNPLACED = "unplaced"  # key of a file's header: which of FIELDS it came without
@@ -32,12 +31,6 @@ VOXELS_AGREE = 0.01  # of a voxel: headers are rounded
 COUNT = re.compile(rb"^count:[^\n]*\n", re.MULTILINE)
 FAULTS = (DataError, HeaderError, struct.error, OSError, ValueError, LookupError, TypeError, AttributeError,
           MemoryError, ArithmeticError)
-
-
-def tract_ending(path) -> str:
-    """The ending of a tractogram's name in lower case, "" for another name."""
-    name = Path(path).name.lower()
-    return max((ending for ending in SUFFIXES if name.endswith(ending)), key=len, default="")
 
 
 def read_streamlines(path, *, max_memory_gb: float = 4.0) -> TractogramFile:

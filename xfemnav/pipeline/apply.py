@@ -94,9 +94,10 @@ def _kind_of(path: Path):
 
 
 def _endings() -> dict:
-    from xfemnav.imaging import point_files, surface_files, tract_files
+    from xfemnav.imaging.endings import SURFACES, TRACTS
+    from xfemnav.imaging.point_files import SUFFIXES
 
-    return {_points: point_files.SUFFIXES, _tracts: tract_files.SUFFIXES, _surface: surface_files.SUFFIXES}
+    return {_points: SUFFIXES, _tracts: TRACTS, _surface: SURFACES}
 
 
 def _image(result: Result, path: Path, target: Path, choices: Choices) -> str:

@@ -70,17 +70,12 @@ def _write_points(item, inputs, folder, name, _):
 
 def ending(kind, path):
     """The ending of the file that one of a kind is written to, "" where that does not depend on its own name."""
+    from xfemnav.imaging.endings import SURFACES, TRACTS, ending_of
+
     if kind == "points":
         return point_ending(path)
-    if kind == "streamlines":
-        from xfemnav.imaging.tract_files import tract_ending
-
-        return tract_ending(path) or path.suffix.lower()
-    if kind == "surfaces":
-        from xfemnav.imaging.surface_files import surface_ending
-
-        return surface_ending(path)
-    return ""
+    known = {"streamlines": TRACTS, "surfaces": SURFACES}.get(kind)
+    return (ending_of(path, known) or path.suffix.lower()) if known else ""
 
 
 def point_ending(path):
