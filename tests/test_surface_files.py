@@ -2,6 +2,7 @@
 
 import base64
 import lzma
+import re
 import struct
 import warnings
 import zlib
@@ -159,6 +160,12 @@ def test_what_is_sound_but_not_read_is_no_damage():
             with pytest.raises(XfemnavError, match=f"E701.*{told}") as caught:
                 decoded_surface(content, name)
             assert "damaged" not in str(caught.value)
+    for name, content, told in (("a.stl", ply(), "is no .stl: its content is that of a .ply"),
+                                ("a.vtk", b"hello", "does not begin with '# vtk DataFile'"),
+                                ("a.obj", vtp("ascii"), "content is that of a .vtp")):
+        with pytest.raises(XfemnavError, match=re.escape(told)) as caught:
+            decoded_surface(content, name)
+        assert "damaged" not in str(caught.value)
     with pytest.raises(XfemnavError, match=r"E701.*\.stl, \.vtk, \.vtp"):
         decoded_surface(b"x", "lh.pial")
 

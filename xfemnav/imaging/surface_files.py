@@ -23,6 +23,9 @@ from xfemnav.imaging.surface_form import Form, unreadable
 
 READERS = {".stl": stl.decoded, ".vtk": vtk_legacy.decoded, ".vtp": vtk_polydata.decoded, ".gii": gifti.decoded,
            ".obj": obj.decoded, ".ply": ply.decoded}
+#: What a file begins with, or has there, of the formats that have a mark of their own.
+MARKS = {".ply": b"ply", ".vtk": b"# vtk DataFile", ".vtp": b"<VTKFile", ".gii": b"<GIFTI"}
+HEAD = 1000  # bytes, where it is
 FRAMES = {"ras": np.eye(4), "lps": LPS_TO_RAS}
 
 
@@ -61,6 +64,7 @@ def decoded_surface(content: bytes, name: str, space: str = "ras", limit: int = 
     ending = ending_of(name, tuple(READERS))
     if not ending:
         raise XfemnavError("E701", f"{name} is no surface that xfemnav knows; give {', '.join(READERS)}.")
+    _check_mark(content, name, ending)
     with np.errstate(all="ignore"):  # what overflows is refused by its result
         form = READERS[ending](content, name, limit)
     _check(form, name)
@@ -90,6 +94,14 @@ def _frame(form: Form, name: str, space: str) -> tuple[np.ndarray, str, bool]:
         return np.eye(4), "RAS, for the file does not say", False
     space = space if space in FRAMES else "ras"  # pixels are no frame of a surface
     return FRAMES[space], f"{space.upper()} as --space says", False
+
+
+def _check_mark(content: bytes, name: str, ending: str) -> None:
+    """Raise E701 where a file is of another format than its name says."""
+    found = [own for own, mark in MARKS.items() if mark in content[:HEAD if mark.startswith(b"<") else len(mark)]]
+    if ending not in found and (found or ending in MARKS):
+        told = f"its content is that of a {found[0]}" if found else f"it does not begin with {MARKS[ending].decode()!r}"
+        raise unreadable(name, f"is no {ending}: {told}. Rename it, or save the surface again.")
 
 
 def _check(form: Form, name: str) -> None:

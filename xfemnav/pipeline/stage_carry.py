@@ -32,8 +32,12 @@ def facts(value, inputs):
 
 def line(found):
     """The key figure in a few words."""
-    tables = [*found.get("points", ()), *found.get("surfaces", ())]
-    return "; ".join(f"{table['file']}: {table['tissue']} of {table['n']} points in tissue" for table in tables)
+    told = [f"{table['file']}: {table['tissue']} of {table['n']} points in tissue" for table in found.get("points", ())]
+    for table in found.get("surfaces", ()):
+        gone = sum(n for name, n in table.items() if name.startswith("left_out"))
+        told.append(f"{table['file']}: {table['tissue']} of {table['n']} points in tissue, {gone} of {table['faces']} "
+                    "faces left out")
+    return "; ".join(told)
 
 
 def publish(value, inputs, folder):
