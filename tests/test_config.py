@@ -99,6 +99,19 @@ def test_opening_is_half_on_each_lip_and_excludes_the_others():
     assert "--lip-force" in refused("E780", "head.nii", flags=CUT | {"left": "1,1", "lip_force": ("left=1,1",)})
 
 
+def test_a_displacement_says_from_where_it_counts_and_a_force_does_not(scenario):
+    """Left out, it is the mechanics' choice; `--opening-mm` is two displacements along the normal."""
+    opened = configure("head.nii", flags=CUT | {"opening_mm": 5.0})
+    assert [r.relative_to for r in opened.constrain.retractions] == [None, None]
+    start, blade = SCENARIO.split("[[retract]]")[0], '[[retract]]\nside = "left"\nrelative_to = "{}"\n{}\n'
+    for counts in ("loads", "rest"):
+        scenario.write_text(start + blade.format(counts, "normal_mm = 2.0"))
+        assert configure(scenario=scenario).constrain.retractions[0].relative_to == counts
+    for counts, what in (("loads", "force_mN_per_mm = [1.0, 0.0]"), ("gravity", "normal_mm = 2.0")):
+        scenario.write_text(start + blade.format(counts, what))
+        assert "relative_to" in refused("E780", scenario=scenario)
+
+
 def test_a_stage_reads_its_own_parameters_and_no_others():
     """What a flag changes: the parameters of one stage, or of mesh and constrain where the cut draws the corridor."""
     start = CUT | {"opening_mm": 4.0}

@@ -172,3 +172,11 @@ def test_a_circle_that_contact_alone_holds_is_told_of(shape, told, monkeypatch):
     change = np.linalg.norm(after.moved - before.moved, axis=2).max()
     assert ("W410" in {item.message.code for item in found}) == told
     assert change > SWAY.value if told else change < 0.1 * SWAY.value
+
+
+def test_a_disc_that_turns_out_of_its_contact_is_refused_for_that():
+    """At finite strains the contact of the shape at rest lets a disc turn over."""
+    problem = pose(distmesh(domains.disc(40), 5.0), (), BRAIN, Skull("contact"), gravity=Gravity((0.0, -1.0)),
+                   model="neo-hookean")
+    with pytest.raises(XfemnavError, match=r"E406.*turned out of the skull"):
+        solve(problem)

@@ -156,6 +156,13 @@ def test_a_lump_on_a_narrow_neck_is_named_and_the_brain_behind_stays_put():
     assert moved[lump].mean() > 3 * moved[behind].mean()
 
 
+def test_a_whole_lip_held_pointwise_is_judged_without_a_word_of_numpy_s():
+    held = tuple(Retraction(0, side, normal_mm=1.0, blade=None) for side in (1, -1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pose(BOX, (DOWN,), BRAIN, Skull("fixed", 5.0, 2.0), held, lip_constraint="pointwise")
+
+
 def test_a_blade_that_only_pulls_is_judged_too():
     other = Cut([(31.5, 30.0), (31.5, 6.0)], name="other")
     assert told("W305", [DOWN, other], (Retraction(0, 1, force_mN_per_mm=(0.01, 0.0), blade=(0.1, 0.7)),))

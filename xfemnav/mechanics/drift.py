@@ -62,11 +62,14 @@ def refuse_flight(problem: Problem, rest, moved, body) -> None:
     far = np.linalg.norm(moved - rest, axis=2).max(axis=1)
     k = far.argmax()
     if far[k] > size + np.abs(problem.constraints.d).max(initial=0.0):
+        why = "nothing keeps it in its place, or the load is too large for so soft a tissue"
+        if problem.hung is not None and problem.model != "linear":
+            why = "it has turned out of the skull that it only touches, whose contact is that of the shape at rest"
         raise XfemnavError(
             "E406",
             f"{_named(problem, body[k])} moves by {far[k]:.0f} mm, farther than the organ is large "
-            f"({size:.0f} mm): nothing keeps it in its place, or the load is too large for so soft a tissue; hold an "
-            "arc of the outline or a lip, and check the units of loads and of Young's modulus (kPa).",
+            f"({size:.0f} mm): {why}; hold an arc of the outline or a lip, and check the units of loads and of Young's "
+            "modulus (kPa).",
         )
 
 

@@ -104,6 +104,7 @@ def warn_of_slivers(space: Space, cuts, resections, retractions, spans) -> None:
         return
     tissue = _tissue(space, resections)
     for retraction, span in zip(retractions, spans):
+        span = span[0], min(span[1], cuts[retraction.cut].length)  # of pointwise rows without a blade it has no end
         q = lip_quadrature(space, retraction.cut, retraction.side, span, np.linspace(*span, SAMPLES + 1), n=1)
         h = float(space.mesh.sizes[space.subcells.part_cell[q.parts]].mean())
         width = max(2 * h, min(SHRED_WIDTH_HELD.value, np.ptp(space.mesh.points, axis=0).max() / 10))
