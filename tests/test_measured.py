@@ -12,7 +12,7 @@ from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.measured import measured_at
-from xfemnav.mechanics.outline import Skull
+from xfemnav.mechanics.outline import Skull, skull_conditions
 from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.rim import rim_points
 from xfemnav.mechanics.solution import solve
@@ -91,6 +91,21 @@ def test_the_last_measured_value_is_not_carried_on_to_the_mouth():
     assert np.abs(x).min() == 12.0 and np.abs(x).max() == 27.0
 
 
+def test_a_stretch_ends_where_it_was_measured_and_not_at_the_next_node():
+    """Penalty springs hold the measured part of the facet in which it ends: 1.5 M / h on it, nothing beyond."""
+    space = space_of(symmetric())
+    x = np.arange(-12.6, 12.7, 1.4)
+    rows = np.column_stack([x, np.full(len(x), 40.0), np.tile([0.3, -0.2], (len(x), 1))])
+    found = skull_conditions(space, FREE, np.empty((0, 2)), BRAIN, rows)
+    shift = np.tile([0.3, -0.2], (len(space.mesh.points), 1)).ravel()
+    assert_allclose(found.constraints.C @ shift, found.constraints.d)
+    assert_allclose(found.springs @ shift, found.load, atol=1e-12)
+    h = space.mesh.sizes[0]
+    modulus = BRAIN.stiffness_in(np.array([0]))[0, 0, 0]
+    wanted = 1.5 * modulus / h * 2 * 0.6 * (0.3**2 + 0.2**2)
+    assert shift @ (found.springs @ shift) == pytest.approx(wanted, rel=0.05)  # 32 points to a facet
+
+
 @pytest.mark.parametrize("sides", [False, True])
 def test_over_a_mouth_that_stays_shut_the_outline_is_one(sides):
     x, u = known_on_top(measured(6.0, 3.0, sides=sides))
@@ -148,8 +163,9 @@ def test_far_from_each_other_points_hold_nothing_between_and_alone_they_are_refu
     assert np.abs(np.diff(known_on_top(measured(2.5, 25.0, sides=True))[0])).max() < 21
     lonely = np.array([[-15.0, 40.0, 0.3, 0.0], [15.0, 40.0, 0.3, 0.0]])
     for rows in (lonely, lonely[:1]):
-        with pytest.raises(XfemnavError, match=r"E408.*20 mm"):
-            known_on_top(rows)
+        for weight in (None, 3.0):
+            with pytest.raises(XfemnavError, match=r"E408.*20 mm"):
+                pose(symmetric(), (CUT,), BRAIN, Skull("fixed"), boundary_displacement=rows, boundary_weight=weight)
     assert len(known_on_top(base)[0]) > 1
 
 

@@ -24,7 +24,7 @@ def measured_at(space: Space, rim: Rim, measured, pulled=()) -> tuple[np.ndarray
     measured (m, 4 or 5): x, y, ux, uy mm and, where it matters, side (+1 left, -1 right). Between two points on the two
     sides of a mouth the outline is one, as if there were no cut, unless a blade acts on a lip of that cut (`pulled`:
     the numbers of such cuts) or the points have moved apart: then nothing is known up to the last point of each lip.
-    Raises XfemnavError E408 when the measured points lie off the outline, or hold nothing.
+    Raises XfemnavError E408 when the measured points lie off the outline.
     """
     sub, mesh = space.subcells, space.mesh
     if measured.ndim != 2 or measured.shape[1] not in (4, 5) or not np.isfinite(measured[:, :4]).all():
@@ -43,13 +43,16 @@ def measured_at(space: Space, rim: Rim, measured, pulled=()) -> tuple[np.ndarray
     order = np.argsort(arc, kind="stable")
     at, u = arc[order], measured[order, 2:4]
     at, holds = _stretches(at, u, outline, mouths, np.isin(cut, list(pulled)))
-    known, values = _between(at, u, holds, outline.length, *_rim_arcs(rim, outline, mouths))
+    return _between(at, u, holds, outline.length, *_rim_arcs(rim, outline, mouths))
+
+
+def refuse_nothing(known) -> None:
+    """Raise XfemnavError E408 where none of the rim points (k,) is known."""
     if not known.any():
         raise XfemnavError(
             "E408", "the measured motion holds nothing: nothing of the outline lies between measured points up to "
                     f"{MEASURED_GAP_MM:g} mm apart; give points closer to each other."
         )
-    return known, values
 
 
 def _stretches(at, u, outline, mouths, pulled):

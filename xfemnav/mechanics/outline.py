@@ -16,7 +16,7 @@ from xfemnav.mechanics.arcs import Arc, check_kind, facet_kinds
 from xfemnav.mechanics.constraints import SKULL, Constraints, both_components, normal_rows, stack, vector_rows
 from xfemnav.mechanics.contact import join
 from xfemnav.mechanics.elasticity import Material, Tissue
-from xfemnav.mechanics.measured import measured_at
+from xfemnav.mechanics.measured import measured_at, refuse_nothing
 from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.pieces import free_motions
 from xfemnav.mechanics.rim import rim_points, rim_quadrature
@@ -24,7 +24,7 @@ from xfemnav.mechanics.space import Space
 
 #: Length over which the skull's springs reach the tissue's own stiffness: k = (E / RAMP_STIFFNESS_MM) x / (1 - x).
 RAMP_STIFFNESS_MM = 2.0
-#: Penalty, in units of M / h, on the held part of a facet that begins free.
+#: Penalty, in units of M / h, on the held or measured part of a facet that begins free.
 STRADDLE_PENALTY = 1.5
 #: Springs, in units of E / mm, on what nothing but contact holds.
 WEAK = 1e-6
@@ -137,10 +137,10 @@ def skull_conditions(
     parts += [_sliding_conditions(space, rim, sliding)] if sliding.any() else []
     springs = _springs(space, skull, depth, kinds, material, ~ends & ~(known[:b] & known[b : 2 * b]))
     load = np.zeros(n_dof)
-    if measured is not None and weight is None:
-        parts.insert(0, _vector_conditions(space, rim, known, values))
-    elif measured is not None:
-        pull, load = _weighted(space, np.asarray(measured, float), weight, pulled)
+    if measured is not None:
+        if weight is None:
+            parts.insert(0, _vector_conditions(space, rim, known, values))
+        pull, load = _drawn(space, np.asarray(measured, float), weight, pulled, known, material)
         springs = csr_array(springs + pull)
     touching = ~known & (kind == "contact") & (_distance(rim.points, mouths) >= skull.craniotomy_mm)
     touching[2 * b :] = False
@@ -267,13 +267,22 @@ def _spring_matrix(space, rim, k):
     return both_components(B.T @ scaled)
 
 
-def _weighted(space, measured, weight, pulled):
-    """Springs (n_dof, n_dof) kPa and load (n_dof,) mN of the integral of weight (u - measured).v, where it is known."""
-    if not 0 < weight < np.inf:
+def _drawn(space, measured, weight, pulled, known, material):
+    """Springs (n_dof, n_dof) kPa and load (n_dof,) mN of the integral of k (u - measured).v, where the motion is known.
+
+    k is the weight. Without one the rim points `known` (q,) are held, and k is the penalty 1.5 M / h on facets of which
+    they hold one end, or none, so that a stretch ends where it was measured and not at the next node.
+    """
+    if weight is not None and not 0 < weight < np.inf:
         raise XfemnavError("E408", f"measured displacements have the weight {weight:g} kPa/mm; give a positive number.")
-    rim, weights = rim_quadrature(space, np.arange(len(space.subcells.rim_part)), pieces=2)
-    known, values = measured_at(space, rim, measured, pulled)
-    k = weight * weights * known
+    b = len(space.subcells.rim_part)
+    facets = np.arange(b) if weight is not None else np.flatnonzero(~(known[:b] & known[b : 2 * b]))
+    rim, weights = rim_quadrature(space, facets, pieces=2 if weight is not None else 8)
+    also, values = measured_at(space, rim, measured, pulled)
+    refuse_nothing(also if weight is not None else np.concatenate([known, also]))
+    cell = space.subcells.part_cell[rim.parts]
+    penalty = STRADDLE_PENALTY * material.stiffness_in(cell)[:, 0, 0] / space.mesh.sizes[cell]
+    k = (weight if weight is not None else penalty) * weights * also
     load = space.basis_in(rim.points, rim.parts).T @ (k[:, None] * values)
     return _spring_matrix(space, rim, k), load.ravel()
 
