@@ -4,6 +4,9 @@ The phantom is noise-free and its displacement (the mode-I field of a crack, 6 m
 the outline only; everything inside is the program's. Bounds: what a navigator needs, or what a perfect map would give.
 """
 
+import json
+
+import nibabel as nib
 import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
@@ -37,12 +40,17 @@ from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.solution import solve
 
 
-def run_phantom(grid, folder):
-    """The updated phantom on one grid: Phantom, Result."""
+def run_phantom(grid, folder, scale=None):
+    """The updated phantom on one grid, its intensities on another `scale`: Phantom, Result."""
     phantom = Phantom(grid=GRIDS[grid])
     paths = files.write(phantom, folder)
+    if scale is not None:
+        image = nib.load(paths["image"])
+        scaled = nib.Nifti1Image(scale(image.get_fdata()).astype(np.float32), image.affine)
+        nib.save(scaled, paths["image"])
     result = xfemnav.run(
-        paths["image"], mask=paths["mask"], cut=cut_path(), boundary_displacement=paths["boundary"], report=False,
+        paths["image"], mask=paths["mask"], cut=cut_path(), boundary_displacement=paths["boundary"],
+        companion=(f"label={paths['labels']}", f"continuous={paths['image']}"), report=False,
         output=folder / "out", cache=folder / "cache",
     )
     return phantom, result
@@ -132,6 +140,39 @@ def test_the_gap_is_not_smeared(run):
     middle = (along > 5) & (along < 35) & (across < 3 * np.sqrt(along.clip(0) / 40) - 1)
     assert middle.sum() > 50
     assert (result.warp(phantom.image())[middle] == 0).all()
+
+
+#: Scales of intensity, and the value of the background on each: there is air of 0 about the phantom's head.
+SCALES = {
+    "z-scored": (lambda image: (image - 480) / 105, -480 / 105),
+    "CT": (lambda image: np.where(image > 0, image / 10 - 50, -1000), -1000),
+    "negative": (lambda image: image - 3000, -3000),
+}
+
+
+def stored(result, role):
+    """Values of an output, and what its sidecar says of the fill."""
+    name = result.record["outputs"][role]
+    about = json.loads((result.folder / name.replace(".nii.gz", ".json")).read_text())
+    return nib.load(result.folder / name).get_fdata(), about["Fill"]
+
+
+@pytest.mark.parametrize("name", SCALES)
+def test_the_scale_of_intensities_changes_nothing_else(run, tmp_path, name):
+    """RMSE and Dice are those of the plain phantom, and the cavity has the background's value, also of companions."""
+    scale, background = SCALES[name]
+    _, result = run_phantom("A", tmp_path, scale)
+    (plain, none), (updated, fill) = stored(run[1], "updated"), stored(result, "updated")
+    assert none == 0 and fill == pytest.approx(background)
+    labels, wanted = (stored(item, "companion:sub-phantom_dseg")[0] for item in (result, run[1]))
+    assert np.array_equal(labels, wanted)    # so that every Dice is the plain one's
+    empty = result.frame.to_storage(result.update.cavity | result.update.vacated)
+    carried, own = stored(result, "companion:sub-phantom_T1w-2")
+    assert empty.sum() > 100 and (updated[empty] == np.float32(fill)).all() and own == fill
+    assert (carried[empty] == np.float32(fill)).all() and abs(carried - updated).max() < 1e-3
+    inside = ~binary_dilation(plain == 0, iterations=2)    # there a pixel has a part of air, which is far away in CT
+    assert abs(updated - scale(plain))[inside].max() < 1e-3
+    assert result.record["warnings"] == run[1].record["warnings"]
 
 
 def test_another_grid_gives_the_same_motion(run, tmp_path):

@@ -18,8 +18,9 @@ from xfemnav.imaging.lean import nibabel
 from xfemnav.imaging.point_files import read_points, write_points
 from xfemnav.imaging.points import PointSet
 from xfemnav.imaging.reading import read_image
+from xfemnav.imaging.roundtrip_directions import check_tensors, check_vectors
 from xfemnav.imaging.roundtrip_surfaces import check_surfaces
-from xfemnav.imaging.scenes import scene_motion, scene_slice, scene_triangles
+from xfemnav.imaging.scenes import itk_image, scene_motion, scene_slice, scene_triangles
 from xfemnav.imaging.slices import take_slice, to_nifti
 from xfemnav.imaging.streamlines import move_streamlines
 from xfemnav.imaging.tract_files import read_streamlines, tract_bytes
@@ -82,25 +83,14 @@ def _nifti(values, affine) -> nibabel.Nifti1Image:
     return image
 
 
-def _itk_image(values, affine) -> sitk.Image:
-    """An ITK image, whose world is LPS."""
-    lps = np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine
-    sizes = np.linalg.norm(lps[:3, :3], axis=0)
-    image = sitk.GetImageFromArray(np.ascontiguousarray(values.transpose(2, 1, 0)).astype(np.float32))
-    image.SetOrigin(lps[:3, 3].tolist())
-    image.SetSpacing(sizes.tolist())
-    image.SetDirection((lps[:3, :3] / sizes).ravel().tolist())
-    return image
-
-
 def _write_itk(path, values, affine) -> None:
-    sitk.WriteImage(_itk_image(values, affine), str(path))
+    sitk.WriteImage(itk_image(values, affine), str(path))
 
 
 def _write_dicom(path, values, affine) -> None:
     """One DICOM file a slice, by GDCM."""
     path.mkdir()
-    volume = sitk.Cast(_itk_image(np.rint(values), affine), sitk.sitkInt16)
+    volume = sitk.Cast(itk_image(np.rint(values), affine), sitk.sitkInt16)
     writer, direction = sitk.ImageFileWriter(), volume.GetDirection()
     writer.KeepOriginalImageUIDOn()
     for k in range(volume.GetSize()[2]):
@@ -234,6 +224,8 @@ CHECKS = (
     ("transforms .h5 in SimpleITK, both directions", check_transform, "SimpleITK"),
     ("fields .nrrd in SimpleITK, both directions", check_field_nrrd, "SimpleITK"),
     ("fields .nii.gz in SimpleITK", check_field_nifti, "SimpleITK"),
+    ("vectors of NIfTI, NRRD, MetaImage; FSL, ANTs, MRtrix, ITK", check_vectors, "nibabel"),
+    ("tensors of NIfTI, NRRD; FSL, ANTs, MRtrix, ITK", check_tensors, "nibabel"),
     ("point files .mrk.json, .fcsv, .csv, .tag", check_points, "xfemnav"),
     ("landmarks there and back", check_landmarks, "xfemnav"),
     ("streamlines .trk, .trk.gz, .tck", check_streamlines, "nibabel"),

@@ -1,4 +1,7 @@
-"""The known scene as this program has it: its slice, triangles and motion."""
+"""The known scene as this program and ITK have it: its slice, triangles, motion and images."""
+
+import numpy as np
+import SimpleITK as sitk
 
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.imaging.known import CUT, Scene
@@ -20,3 +23,16 @@ def scene_slice(scene: Scene) -> Slice:
 def scene_motion(scene: Scene, frame: Slice, rest, moved) -> PiecewiseAffineMap:
     """The motion of the triangles, two-valued on the scene's cut."""
     return PiecewiseAffineMap(rest, moved, (frame.from_world(scene.world(CUT))[0],))
+
+
+def itk_image(values, affine) -> sitk.Image:
+    """`values` (ni, nj, nk), or (ni, nj, nk, nc) for vectors, on the grid of `affine` (4, 4) RAS, as an image of ITK,
+    whose world is LPS."""
+    lps = np.diag([-1.0, -1.0, 1.0, 1.0]) @ affine
+    sizes = np.linalg.norm(lps[:3, :3], axis=0)
+    stored = np.ascontiguousarray(np.moveaxis(values, (0, 1, 2), (2, 1, 0))).astype(np.float32)
+    image = sitk.GetImageFromArray(stored, isVector=stored.ndim == 4)
+    image.SetOrigin(lps[:3, 3].tolist())
+    image.SetSpacing(sizes.tolist())
+    image.SetDirection((lps[:3, :3] / sizes).ravel().tolist())
+    return image
