@@ -43,7 +43,7 @@ INPUT = (
 MESH = (
     click.option("--cut", multiple=True, metavar="'X,Y X,Y ...'|FILE",
                  help="Points of a cut, mouth first, 2 numbers (plane mm) or 3 (world mm), or a point file (.mrk.json, "
-                      ".fcsv, .csv, .tag); repeat for more cuts."),
+                      ".fcsv, .csv, .tsv, .tag); repeat for more cuts."),
     click.option("--markup", metavar="NAME", help="Which markup of a point file with several."),
     click.option("--resect", multiple=True, metavar="'X,Y X,Y ...'|FILE|label=N,N",
                  help="Closed outline of what is taken out, a point file with it, a mask, or labels of --labels."),
@@ -103,7 +103,7 @@ CARRIED = (
     click.option("--tensor-order", type=_choice("fsl", "mrtrix", "nifti"),
                  help="Order of a tensor's components.  [as the file states, else fsl]"),
     click.option("--points", multiple=True, type=FILE, metavar="FILE",
-                 help="Landmarks to move: .mrk.json, .fcsv, .csv, .tag; repeat."),
+                 help="Landmarks to move: .mrk.json, .fcsv, .csv, .tsv, .tag; repeat."),
     click.option("--streamlines", multiple=True, type=FILE, metavar="FILE",
                  help="Tractogram to move: .trk, .trk.gz, .tck; repeat."),
     click.option("--surfaces", multiple=True, type=FILE, metavar="FILE",

@@ -69,7 +69,7 @@ def schema(which):
 def apply(folder, files, output, step, force, **choices):
     """Apply the finished run in the folder RUN to what else there is of the preoperative patient.
 
-    Images (any format and grid), landmarks (.mrk.json, .fcsv, .csv, .tag), streamlines (.trk, .trk.gz, .tck) and
+    Images (any format and grid), landmarks (.mrk.json, .fcsv, .csv, .tsv, .tag), streamlines (.trk, .trk.gz, .tck) and
     surfaces (.stl, .vtk, .vtp, .gii, .obj, .ply). Each file is written whole or not at all,
     and one that fails stops no other. Exit status 1 if some of several failed.
     """

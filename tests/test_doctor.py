@@ -11,6 +11,7 @@ from small import xfemnav
 from xfemnav.imaging import (
     companions,
     conventions,
+    frames,
     known,
     landmarks,
     markups,
@@ -66,6 +67,8 @@ def test_the_known_scene_is_what_it_says():
     (vectors, "LPS", MIRRORED, {"transforms", "fields"}),
     (markups, "LPS", MIRRORED, {"point"}),
     (point_tables, "LPS", MIRRORED, {"point"}),
+    (frames, "from_voxel", lambda frame, axis, index: frame, {"NIfTI"}),
+    (point_tables, "BIDS", ("\t", "lps"), {"point"}),
     (roundtrip, "pull_back", lambda rest, moved, *grid: warp.pull_back(moved, rest, *grid),
      {"NIfTI", "MGZ", "NRRD", "MetaImage", "DICOM"}),
     (conventions, "LPS", np.diag(MIRRORED), {"vectors", "tensors"}),

@@ -206,6 +206,9 @@ FILES = {"lps.mrk.json": slicer(CUT_POINTS, "LPS"), "ras.mrk.json": slicer(CUT_P
          "old.fcsv": "# Markups fiducial file version = 4.10\n# CoordinateSystem = 0\n# columns = id,x,y,z,label\n"
                      "1,-60,10,10,F-1\n2,-15,5,10,F-2\n",
          "ants.csv": "x,y,z,t\n60,-10,10,0\n15,-5,10,0\n", "ras.csv": "r,a,s,label\n-60,10,10,mouth\n-15,5,10,tip\n",
+         "slicer.csv": "label,l,p,s,defined,selected,visible,locked,description\nF-1,60,-10,10,1,1,1,0,\n"
+                       "F-3,0,0,0,0,1,1,0,\nF-2,15,-5,10,1,1,1,0,\n",
+         "slicer.tsv": "label\tr\ta\ts\tdefined\nF-1\t-60\t10\t10\t1\nF-2\t-15\t5\t10\t1\nF-3\t0\t0\t0\t0\n",
          "minc.tag": 'MNI Tag Point File\nVolumes = 1;\n\nPoints =\n -60 10 10 "mouth"\n -15 5 10 "tip";\n'}
 
 
@@ -245,6 +248,53 @@ def test_every_point_file_moves_the_same_landmarks(head, capfd, name):
         found.append(read_points(head.parent / "out" / record["outputs"]["points"]).points)
         assert record["outputs"]["points"].endswith(file[file.index("."):])
     np.testing.assert_allclose(*found, atol=1e-9)
+
+
+ELECTRODES = "name\tx\ty\tz\nLA1\t-20\t10\t10\nLA2\tn/a\tn/a\tn/a\nLA3\t-15\t5\t10\n"
+
+
+def test_electrodes_move_in_the_frame_that_stands_beside_them_or_are_doubted(head, capfd):
+    (head.parent / "sub-1_electrodes.tsv").write_text(ELECTRODES)
+    places = []
+    for code in ("W131", None):
+        record = run(capfd, *OPEN, "--cut", CUT, "--points", "sub-1_electrodes.tsv")
+        assert record["points"][0] | {"file": ""} == {"file": "", "n": 2, "tissue": 1, "on_a_cut": 1, "resected": 0,
+                                                       "outside": 0}
+        told = [item["text"] for item in record["warnings"] if item["code"] == "W131"]
+        assert len(told) == (code is not None) and all("coordsystem.json" in text for text in told)
+        text = (head.parent / "out" / record["outputs"]["points"]).read_text()
+        assert text.startswith("name\tx\ty\tz\nLA1\t") and "LA2" not in text
+        places.append(read_points(head.parent / "out" / record["outputs"]["points"]).points)
+        (head.parent / "sub-1_coordsystem.json").write_text(
+            '{"iEEGCoordinateSystem": "ScanRAS", "iEEGCoordinateUnits": "mm"}')
+    np.testing.assert_array_equal(*places)
+    code, _, told = xfemnav(capfd, "apply", "out", "sub-1_electrodes.tsv", "-o", "later")
+    assert code == 0 and "W131" not in told
+    (head.parent / "sub-1_coordsystem.json").write_text('{"EEGCoordinateSystem": "CTF"}')  # no result of before
+    assert run(capfd, *OPEN, "--cut", CUT, "--points", "sub-1_electrodes.tsv")["error"]["code"] == "E308"
+
+
+def test_a_cut_whose_table_does_not_say_its_frame_is_refused(head, capfd):
+    (head.parent / "cut.tsv").write_text("x\ty\tz\n-60\t10\t10\n-15\t5\t10\n")
+    code, stdout, _ = xfemnav(capfd, "run", "head.nii.gz", *QUICK, *OPEN, "--cut", "cut.tsv", "--json")
+    assert (code, json.loads(stdout)["error"]["code"]) == (65, "E308")
+
+
+def test_a_table_draws_a_resection(head, capfd):
+    (head.parent / "out.tsv").write_text("r\ta\ts\n" + "".join(f"{x}\t{y}\t10\n" for x, y in
+                                                             ((5, 5), (25, 5), (25, 25), (5, 25))))
+    record = run(capfd, "--resect", "out.tsv")
+    assert record["resections"][0]["area_mm2"] == pytest.approx(400, rel=0.01)
+
+
+def test_apply_doubts_landmarks_as_a_run_does(aside, capfd):
+    """A file that says RAS and counts LPS, and one that lies off the slice."""
+    run(capfd, *OPEN, "--cut", "20,90 65,85")
+    points = np.array([[80.0, 80, 10], [90, 90, 10], [70, 100, 10]])
+    (aside / "p.mrk.json").write_text(slicer(points, "RAS", "Fiducial", (-1, -1, 1)))
+    (aside / "q.mrk.json").write_text(slicer(points + np.array([0, 0, 5]), "RAS", "Fiducial"))
+    _, _, told = xfemnav(capfd, "apply", "out", "p.mrk.json", "q.mrk.json", "-o", "later")
+    assert "p.mrk.json: W131" in told and "q.mrk.json: W132" in told and told.count("W13") == 2
 
 
 @pytest.mark.parametrize("off, code", [(0.99, None), (-0.99, None), (1.02, "E307"), (-7.5, "E307")])

@@ -181,7 +181,7 @@ def test_a_large_file_is_not_read(tmp_path):
     path = saved(tmp_path, "")
     with path.open("wb") as file:
         file.truncate(LIMIT_BYTES + 1)
-    assert "at most 10000000" in refusal(path).message
+    assert "at most 10 MB" in refusal(path).message
 
 
 def test_a_long_curve_is_refused_before_it_is_drawn(tmp_path):

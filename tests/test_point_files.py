@@ -1,5 +1,6 @@
 """Point files: each format in its own frame gives the same points, comes back as written, and damage gets a code."""
 
+import json
 import os
 import signal
 import tracemalloc
@@ -90,7 +91,7 @@ def test_content_tells_the_format_before_the_name(tmp_path, name, other):
 
 @settings(max_examples=40, deadline=None)
 @given(rows=st.lists(st.tuples(coordinates, labels), min_size=1, max_size=5))
-@pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv", ".csv", ".tag"])
+@pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv", ".csv", ".tsv", ".tag"])
 def test_written_points_come_back(tmp_path_factory, suffix, rows):
     points = PointSet("points", "p", [place for place, _ in rows], tuple(label for _, label in rows))
     path = tmp_path_factory.mktemp("round") / f"p{suffix}"
@@ -119,6 +120,8 @@ def test_each_writer_keeps_to_the_frame_of_its_format(tmp_path):
     write_points(tmp_path / "p.fcsv", points)
     assert "# CoordinateSystem = LPS\n" in (tmp_path / "p.fcsv").read_text()
     assert "\n1,10.5,-20.25,30.0,0,0,0,1,1,1,0,F,,\n" in (tmp_path / "p.fcsv").read_text()
+    write_points(tmp_path / "p.tsv", points)
+    assert (tmp_path / "p.tsv").read_text() == "label\tr\ta\ts\nF\t-10.5\t20.25\t30.0\n"
     with pytest.raises(XfemnavError, match="E308"):
         write_points(tmp_path / "p.nii.gz", points)
 
@@ -128,6 +131,96 @@ def test_other_columns_of_a_csv_come_back(tmp_path):
     assert found.columns == {"t": ("7", "7"), "comment": ("first", "")}
     write_points(tmp_path / "again.csv", found)
     assert read_points(tmp_path / "again.csv").columns == found.columns
+
+
+# Tables whose columns mean something ----------------------------------------------------------------------------------
+
+SLICER = "label,r,a,s,defined,selected,visible,locked,description"
+ROWS = (("F-1", -10.5, 20.25, 30.0, "1,1,0,0,first"), ("far, off", 0, 0, 0, "0,1,1,0,"),
+        ("F-2", -12, 8.125, 31.5, "1,0,1,1,"))
+
+
+def slicer_table(separator=",", axes="ras", end="\n") -> str:
+    """A table as 3D Slicer exports it: the second point was never placed, and lies at the origin."""
+    signs = (1, 1, 1) if axes == "ras" else (-1, -1, 1)
+    lines = [SLICER.replace("r,a,s", ",".join(axes)).split(",")]
+    lines += [[f'"{label}"', *(str(sign * x) for sign, x in zip(signs, place)), *rest.split(",")]
+              for label, *place, rest in ROWS]
+    return "".join(separator.join(line) + end for line in lines)
+
+
+@pytest.mark.parametrize("axes", ["ras", "lps"])
+@pytest.mark.parametrize("separator, name", [(",", "p.csv"), ("\t", "p.tsv"), (";", "p.csv"), ("\t", "p.csv"),
+                                             (",", "p.tsv"), ("\t", "p.txt")])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_tables_of_slicer_are_read_and_written_as_they_are(tmp_path, axes, separator, name, end):
+    text = slicer_table(separator, axes, end)
+    for content in (text, "\ufeff" + text, text.replace("label", "Label").replace("defined", "DEFINED")):
+        found = read_points(saved(tmp_path, content, name))
+        np.testing.assert_array_equal(found.points, RAS_POINTS)
+        assert found.labels == ("F-1", "F-2") and found.columns["visible"] == ("0", "1")
+    if name == "p.txt":
+        return
+    write_points(tmp_path / name, read_points(saved(tmp_path, text, name)))
+    first, *rows = (tmp_path / name).read_text().splitlines()
+    assert first == text.split(end)[0] and len(rows) == 2
+    assert rows[0].split(separator)[4:] == ["1", "1", "0", "0", "first"]
+    np.testing.assert_array_equal(read_points(tmp_path / name).points, RAS_POINTS)
+
+
+ELECTRODES = "name\tx\ty\tz\tsize\nLA1\t-10.5\t20.25\t30\t5\nLA2\tn/a\tn/a\tN/A\tn/a\nLA3\t-12\t8.125\t31.5\t5\n"
+
+
+def test_electrodes_of_bids_are_ras_and_what_is_not_available_is_left_out(tmp_path):
+    path = saved(tmp_path, ELECTRODES, "sub-01_electrodes.tsv")
+    found = read_points(path)
+    np.testing.assert_array_equal(found.points, RAS_POINTS)
+    assert found.labels == ("LA1", "LA3") and found.columns == {"size": ("5", "5")} and not found.form.stated
+    write_points(path, found)
+    assert path.read_text() == "name\tx\ty\tz\tsize\nLA1\t-10.5\t20.25\t30.0\t5\nLA3\t-12.0\t8.125\t31.5\t5\n"
+
+
+@pytest.mark.parametrize("system, units, scale", [("ScanRAS", "mm", 1), ("ACPC", "cm", 10), ("acpc", "m", 1000),
+                                                  ("MNI152NLin2009cAsym", "mm", 1), ("Other", "mm", None),
+                                                  ("fsaverage", "mm", 1), ("n/a", "mm", None)])
+def test_the_coordinate_system_stands_beside_the_table(tmp_path, system, units, scale):
+    text = ELECTRODES
+    if scale:
+        text = text.replace("-10.5\t20.25\t30", "\t".join(str(x / scale) for x in RAS_POINTS[0]))
+        text = text.replace("-12\t8.125\t31.5", "\t".join(str(x / scale) for x in RAS_POINTS[1]))
+    path = saved(tmp_path, text, "sub-01_ses-a_task-rest_space-S_electrodes.tsv")
+    stated = {"iEEGCoordinateSystem": system, "iEEGCoordinateUnits": units}
+    for name, other in (("sub-01_ses-a_space-S", stated), ("sub-01_ses-a", {"iEEGCoordinateSystem": "CTF"}),
+                        ("sub-02_space-S", {}), ("sub-01_ses-a_space-T", {})):
+        saved(tmp_path, json.dumps(other), f"{name}_coordsystem.json")
+    found = read_points(path)
+    np.testing.assert_allclose(found.points, RAS_POINTS, atol=1e-12)
+    assert found.form.stated == (scale is not None)
+    write_points(path, found)
+    np.testing.assert_allclose(read_points(path).points, RAS_POINTS, atol=1e-12)
+
+
+@pytest.mark.parametrize("content", [
+    '{"EEGCoordinateSystem": "CTF", "EEGCoordinateUnits": "mm"}', '{"iEEGCoordinateSystem": "Pixels"}',
+    '{"iEEGCoordinateSystem": "ACPC", "iEEGCoordinateUnits": "pixels"}', "[", "[" * 100_000, "\0"])
+def test_a_system_that_is_no_place_in_an_image_is_refused(tmp_path, alarm, content):
+    path = saved(tmp_path, ELECTRODES, "sub-01_electrodes.tsv")
+    saved(tmp_path, content, "sub-01_coordsystem.json")
+    assert code_of(path) == "E308"
+    saved(tmp_path, ELECTRODES.replace("x\ty\tz", "r\ta\ts"), path.name)  # names that say it need no file
+    np.testing.assert_array_equal(read_points(path).points, RAS_POINTS)
+
+
+def test_of_several_systems_that_fit_alike_none_counts(tmp_path):
+    path = saved(tmp_path, ELECTRODES, "sub-01_ses-a_electrodes.tsv")
+    for name in ("sub-01", "ses-a"):
+        saved(tmp_path, '{"iEEGCoordinateSystem": "ACPC", "iEEGCoordinateUnits": "mm"}', f"{name}_coordsystem.json")
+    assert not read_points(path).form.stated
+
+
+def test_utf_16_is_told_by_its_name(tmp_path):
+    with pytest.raises(XfemnavError, match=r"E308 .*UTF-16"):
+        read_points(saved(tmp_path, slicer_table("\t").encode("utf-16"), "p.tsv"))
 
 
 def test_no_control_point_is_lost_between_the_two_ways_to_read(tmp_path):
@@ -145,7 +238,10 @@ BAD = {
     "nan.csv": "x,y,z\n1,nan,3\n", "inf.csv": "x,y,z\n1,inf,3\n", "1e999.csv": "x,y,z\n1,1e999,3\n",
     "hex.csv": "x,y,z\n1,0x10,3\n", "under.csv": "x,y,z\n1,1_0,3\n", "arabic.csv": "x,y,z\n1,٣,3\n",
     "far.csv": "x,y,z\n1,2e5,3\n", "few.csv": "x,y,z\n1,2\n", "empty.csv": "x,y,z\n", "headless.csv": "1,2,3\n4,5,6\n",
-    "both.csv": "x,y,z,r,a,s\n1,2,3,1,2,3\n", "twice.csv": "x,y,z,x\n1,2,3,4\n", "semicolon.csv": "x;y;z\n1;2;3\n",
+    "both.csv": "x,y,z,r,a,s\n1,2,3,1,2,3\n", "twice.csv": "x,y,z,x\n1,2,3,4\n", "comma.csv": "x;y;z\n1,5;2;3\n",
+    "defined.csv": "r,a,s,defined\n1,2,3,maybe\n", "three.csv": "r,a,l,p,s\n1,2,-1,-2,3\n",
+    "unplaced.tsv": "x\ty\tz\n1\t2\tn/a\n",
+    "spaces.csv": "x y z\n1 2 3\n",
     "two.csv": "x,y\n1,2\n", "digits.csv": "x,y,z\n1,2," + "1" * 100_000 + "x\n",
     "open.tag": TAG.rstrip(";\n"), "volumes.tag": TAG.replace("Volumes = 2;", ""),
     "three.tag": TAG.replace("= 2", "= 3"), "points.tag": TAG.replace("Points =", ""),

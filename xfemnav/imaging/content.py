@@ -25,8 +25,25 @@ GZIP_MAGIC = b"\x1f\x8b"
 TIMES, SMALL = 100, 1 << 24
 
 
-def file_bytes(path, limit: int) -> bytes:
-    """Bytes of a regular file of at most `limit` bytes; a pipe or device is never waited for."""
+#: What is said of a file that is not read, by what is wrong with it: code and words.
+IMAGE = {
+    "no file": ("E106", "{path} is a pipe, a device or a folder, not a file. Give a file."),
+    "empty": ("E106", "{name} is empty (0 bytes); copy it again."),
+    "large": ("E102", "{name} holds {size}, over the limit of {limit}; raise it with --max-memory if the file is "
+                      "right."),
+    "unread": ("E101", "cannot read {name}: {reason}. Copy it again."),
+}
+
+
+def file_bytes(path, limit: int, words: dict[str, tuple[str, str]] = IMAGE) -> bytes:
+    """Bytes of a regular file of at most `limit` bytes; a pipe or device is never waited for.
+
+    Raises E100 where nothing can be opened, and what `words` have for other files.
+    """
+    def refused(what: str, **facts) -> XfemnavError:
+        code, text = words[what]
+        return XfemnavError(code, text.format(path=path, name=name, **facts))
+
     name = Path(path).name or str(path)
     try:
         # O_NONBLOCK: a pipe that nobody writes to opens at once, and is then refused as what it is.
@@ -37,16 +54,15 @@ def file_bytes(path, limit: int) -> bytes:
     try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
-            raise XfemnavError("E106", f"{path} is a pipe, a device or a folder, not a file. Give a file.")
+            raise refused("no file")
         if status.st_size == 0:
-            raise XfemnavError("E106", f"{name} is empty (0 bytes); copy it again.")
+            raise refused("empty")
         if status.st_size > limit:
-            raise XfemnavError("E102", f"{name} holds {size(status.st_size)}, over the limit of {size(limit)}; "
-                                       "raise it with --max-memory if the file is right.")
+            raise refused("large", size=size(status.st_size), limit=size(limit))
         with os.fdopen(handle, "rb", closefd=False) as file:
             return file.read(status.st_size)
     except OSError as error:
-        raise XfemnavError("E101", f"cannot read {name}: {error.strerror}. Copy it again.") from None
+        raise refused("unread", reason=error.strerror) from None
     finally:
         os.close(handle)
 

@@ -12,7 +12,7 @@ from xfemnav.errors import warn
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.locate import LIP, TOUCH
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.points import frame_suspicion
+from xfemnav.imaging.points import PointSet, frame_suspicion
 from xfemnav.imaging.slices import Slice
 
 TISSUE, ON_A_CUT, RESECTED, IN_THE_CUT, OUTSIDE = "tissue", "on a cut", "resected", "in the cut", "outside"
@@ -68,6 +68,15 @@ def resting_points(points, frame: Slice, motion: PiecewiseAffineMap, outline) ->
     inside = shapely.contains_xy(shapely.Polygon(outline).buffer(0), plane)
     flag = np.select([np.isfinite(moved[:, 0]), inside], [TISSUE, IN_THE_CUT], OUTSIDE)
     return _result(points, frame, moved, np.full((len(plane), 2, 2), np.nan), distance, flag)
+
+
+def warn_of_points(found: PointSet, name: str, frame: Slice, outline) -> None:
+    """W131 and W132 of the landmarks `found` in the file `name`; `outline` (k, 2) mm is the organ's at their time."""
+    if found.form is not None and not found.form.stated:
+        warn("W131", f"{name} does not say in which frame its x,y,z count, nor does a coordsystem.json beside it; they "
+                     "were read as RAS, as BIDS counts electrodes in an image. Name the columns r,a,s or l,p,s.")
+    warn_of_frame(found.points, name, frame, outline, "Check the frame that the file states.")
+    warn_of_slice(found.points, name, frame)
 
 
 def warn_of_frame(points, name: str, frame: Slice, outline, mend: str) -> None:

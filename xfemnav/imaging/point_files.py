@@ -4,30 +4,39 @@ A file is opened once, as a regular file of at most 10 MB, and told by its conte
 most 200 000 lines.
 """
 
-import os
-import stat
+from functools import partial
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging import markups
+from xfemnav.imaging import content, coordsystem, markups
 from xfemnav.imaging.markups import write_markups
-from xfemnav.imaging.point_tables import TAG_HEAD, csv_text, fcsv_text, read_csv, read_fcsv, read_tag, tag_text
-from xfemnav.imaging.points import PointSet, frame_suspicion, unusable
+from xfemnav.imaging.point_tables import (
+    BIDS,
+    TAG_HEAD,
+    csv_text,
+    fcsv_text,
+    read_columns,
+    read_fcsv,
+    read_tag,
+    separated,
+    tag_text,
+    tsv_text,
+)
+from xfemnav.imaging.points import POINT_FILE, PointSet, frame_suspicion, unusable
 from xfemnav.imaging.splines import drawn
 
 __all__ = ["PointSet", "frame_suspicion", "read_control_points", "read_points", "write_markups", "write_points"]
 
 LIMIT_BYTES, LIMIT_LINES = 10_000_000, 200_000
-SUFFIXES = (".mrk.json", ".json", ".fcsv", ".csv", ".tag")
-TABLES = {".fcsv": read_fcsv, ".csv": read_csv, ".tag": read_tag}
-TEXTS = {".fcsv": fcsv_text, ".csv": csv_text, ".tag": tag_text}
+SUFFIXES = (".mrk.json", ".json", ".fcsv", ".csv", ".tsv", ".tag")
+TEXTS = {".fcsv": fcsv_text, ".csv": csv_text, ".tsv": tsv_text, ".tag": tag_text}
 
 
 def read_points(path, *, name: str | None = None, chord_mm: float = 0.05) -> PointSet:
-    """The points in the file at `path`: .mrk.json, .fcsv, .csv or .tag.
+    """The points in the file at `path`: .mrk.json, .fcsv, .csv, .tsv or .tag.
 
-    `name` chooses one of several markups. Frames are the files' own: markups and .fcsv say theirs, .tag is RAS, a .csv
-    with the columns r,a,s is RAS, and one with x,y,z is LPS, since that is how antsApplyTransformsToPoints counts.
+    `name` chooses one of several markups. Frames are the files' own: markups and .fcsv say theirs, .tag is RAS, and
+    tables say it by the names of their columns (`read_columns`), or a BIDS coordsystem.json beside them.
     Curves are followed as 3D Slicer draws them, with chords at most `chord_mm` off; their control points are among the
     vertices and keep their labels. Raises E100 (no such file), E308 (cannot be used), E309 (several markups).
     """
@@ -50,7 +59,8 @@ def read_control_points(path, *, name: str | None = None) -> PointSet:
 
 
 def write_points(path, points: PointSet) -> None:
-    """Write `points` in the format of the suffix and in its frame: .mrk.json, .fcsv and .csv LPS, .tag RAS.
+    """Write `points` in the format of the suffix and in its frame: .mrk.json and .fcsv LPS, .tag RAS, and .csv and .tsv
+    as the table had it, else LPS.
 
     The tables hold labels on one line. Raises E308 for another suffix.
     """
@@ -86,12 +96,14 @@ def _reader(text: str, path):
         return read_tag
     if head.startswith("#"):
         return read_fcsv
-    columns = {name.strip().strip('"').lower() for name in head.partition("\n")[0].split(",")}
-    if set("xyz") <= columns or set("ras") <= columns:
-        return read_csv
-    if _suffix(path) not in SUFFIXES:
+    suffix = _suffix(path)
+    found = separated(head)
+    if suffix in (".csv", ".tsv") or found[0]:
+        system = coordsystem.beside(Path(path)) if found == BIDS else None
+        return partial(read_columns, unit=system and coordsystem.unit(system))
+    if suffix not in SUFFIXES:
         raise unusable(Path(path).name, f"is no point file; give one of {', '.join(SUFFIXES)}.")
-    return TABLES.get(_suffix(path))
+    return {".fcsv": read_fcsv, ".tag": read_tag}.get(suffix)
 
 
 def _suffix(path) -> str:
@@ -100,25 +112,8 @@ def _suffix(path) -> str:
 
 
 def _text(path) -> str:
-    """The text of a regular file; a pipe or device is never waited for."""
-    file = Path(path).name or str(path)
+    """The text of a point file, its lines ended as they are."""
     try:
-        # O_NONBLOCK: a pipe that nobody writes to opens at once, and is then refused as what it is.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise XfemnavError("E100", f"cannot open {path}: {reason}. Correct the path.") from None
-    try:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise unusable(file, "is a folder, pipe or device, not a file. Correct the path.")
-        if status.st_size > LIMIT_BYTES:
-            raise unusable(file, f"holds {status.st_size} bytes; at most {LIMIT_BYTES} are read. Is it a point file?")
-        with os.fdopen(handle, "rb", closefd=False) as stream:
-            return stream.read(LIMIT_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise unusable(file, f"is no UTF-8 text (byte {error.start}). Save it as UTF-8.") from None
-    except OSError as error:
-        raise unusable(file, f"cannot be read: {error.strerror}. Copy it again.") from None
-    finally:
-        os.close(handle)
+        return content.decoded(content.file_bytes(path, LIMIT_BYTES, POINT_FILE))
+    except ValueError as error:
+        raise unusable(Path(path).name, f"{error}.") from None

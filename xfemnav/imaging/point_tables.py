@@ -1,4 +1,4 @@
-"""Points as text, one a line: 3D Slicer's .fcsv, the .csv of ANTs, the .tag of MINC.
+"""Points as text, one a line: 3D Slicer's .fcsv, tables with named columns (.csv, .tsv), the .tag of MINC.
 
 Each reader takes the text of a file, its name for messages and the stem that the points are called by, and raises
 E308; each writer gives the text. A coordinate is a decimal number: no NaN, no infinity, nothing else that Python's
@@ -8,10 +8,11 @@ float takes.
 import csv
 import io
 import re
+from dataclasses import replace
 
 import numpy as np
 
-from xfemnav.imaging.points import LPS, RAS, PointSet, point_set, shown, unusable
+from xfemnav.imaging.points import LPS, RAS, Form, PointSet, point_set, shown, unusable
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")  # linear in time
 LINE_END = re.compile(r"\r\n?|\n")
@@ -22,6 +23,9 @@ QUOTED = r'"(?:\\.|[^"\\\n])*"?'  # one that is not closed ends with its line
 TAG_COMMENT = re.compile(rf"({QUOTED})|[%#][^\n]*")
 TAG_TOKEN = re.compile(rf'{QUOTED}|;|[^\s";]+')
 TAG_HEAD = "MNI Tag Point File"
+SEPARATORS, AXES, LABELS, MISSING = (",", "\t", ";"), ("xyz", "ras", "lps"), ("label", "name"), "n/a"
+BIDS = "\t", "xyz"
+DEFINED = {"1": True, "true": True, "": True, "0": False, "false": False}
 
 
 def read_fcsv(text: str, file: str, stem: str) -> PointSet:
@@ -47,29 +51,65 @@ def read_fcsv(text: str, file: str, stem: str) -> PointSet:
     return point_set("Fiducial", stem, np.reshape(points, (-1, 3)) * FCSV_FRAMES[frame] + 0.0, labels, file)
 
 
-def read_csv(text: str, file: str, stem: str) -> PointSet:
-    """Points of a .csv file with a header: x,y,z are LPS, as ANTs and ITK count; r,a,s are RAS.
+def read_columns(text: str, file: str, stem: str, unit: float | None = None) -> PointSet:
+    """Points of a table with a header: commas, semicolons or tabs between its columns.
 
-    A column `label` holds the labels, every other one is kept in `columns`.
+    r,a,s are RAS and l,p,s LPS, as 3D Slicer writes its tables. x,y,z between commas or semicolons are LPS, as ANTs and
+    ITK count. Between tabs they are those of BIDS: RAS in mm of `unit`, or what nobody says (None), and then they are
+    taken as RAS mm, and the form is not `stated`. Columns mean what they are called, in small or large letters: `label`
+    or `name` the labels; rows whose `defined` is 0, or whose coordinates are n/a, were never placed and are left out.
+    All further columns are kept in `columns`.
     """
-    lines = csv.reader(io.StringIO(text, newline=""))
+    separator, axes = separated(text)
+    if not separator:
+        raise unusable(file, f"starts with {shown(text.lstrip()[:60])}; its first line must name its columns: r,a,s "
+                             "(RAS) or l,p,s or x,y,z (LPS), one of them, and label if there are some.")
+    lines = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     try:
         table = [(lines.line_num, row) for row in lines if any(row)]
     except csv.Error as error:
-        raise unusable(file, f"is no CSV: {error}.") from None
-    header = [name.strip() for name in table[0][1]] if table else []
-    names, rows = [name.lower() for name in header], table[1:]
-    frames = [axes for axes in ("xyz", "ras") if set(axes) <= set(names)]
-    if len(frames) != 1 or len(set(names)) < len(names):
-        raise unusable(file, f"starts with {shown(','.join(header))}; its first line must name its columns: x,y,z "
-                             "(LPS) or r,a,s (RAS), and label if there are some.")
-    places = _places(names, frames[0], file)
+        raise unusable(file, f"is no table: {error}.") from None
+    header = [name.strip() for name in table[0][1]]
+    while not header[-1]:
+        header.pop()  # spreadsheets write empty columns behind the last
+    names = [name.lower() for name in header]
+    if len(set(names)) < len(names):
+        raise unusable(file, f"has two columns of one name: {shown(separator.join(header))}.")
+    places = _places(names, axes, file)
+    rows = [(number, row) for number, row in table[1:] if _is_placed(row, names, places, number, file)]
     points = [_coordinates([_at(row, k) for k in places], number, file) for number, row in rows]
+    label = next((header[names.index(name)] for name in LABELS if name in names), None)
     texts = {name: tuple(_at(row, k) for _, row in rows) for k, name in enumerate(header) if k not in places}
-    label = next((name for name in texts if name.lower() == "label"), None)
     labels = texts.pop(label) if label else [""] * len(rows)
-    signs = LPS if frames[0] == "xyz" else RAS
-    return point_set("points", stem, np.reshape(points, (-1, 3)) * signs + 0.0, labels, file, texts)
+    form = Form(tuple(header), separator, tuple(header[k] for k in places), label, tuple(LPS))
+    if (separator, axes) == BIDS:
+        form = replace(form, signs=tuple(RAS), unit=unit or 1.0, stated=unit is not None)
+    elif axes == "ras":
+        form = replace(form, signs=tuple(RAS))
+    points = np.reshape(points, (-1, 3)) * form.unit * form.signs + 0.0
+    return point_set("points", stem, points, labels, file, texts, form)
+
+
+def separated(text: str) -> tuple[str, str]:
+    """What separates the columns that the first line of a text names, and which three are coordinates; "" for none."""
+    head = LINE_END.split(text[:4096].lstrip("\r\n "), maxsplit=1)[0]
+    for separator in SEPARATORS:
+        names = {name.strip().strip('"').lower() for name in head.split(separator)}
+        found = [axes for axes in AXES if set(axes) <= names]
+        if len(found) == 1:
+            return separator, found[0]
+    return "", ""
+
+
+def _is_placed(row: list[str], names: list[str], places: list[int], number: int, file: str) -> bool:
+    """Whether a row of a table has a place: it does not say that it is undefined, and no coordinate is n/a."""
+    if "defined" in names:
+        word = _at(row, names.index("defined")).strip().lower()
+        if word not in DEFINED:
+            raise unusable(file, f"has {shown(word)} in line {number} as `defined`, which is 1 or 0.")
+        if not DEFINED[word]:
+            return False
+    return not any(_at(row, k).strip().lower() == MISSING for k in places)
 
 
 def read_tag(text: str, file: str, stem: str) -> PointSet:
@@ -137,14 +177,23 @@ def fcsv_text(points: PointSet) -> str:
 
 
 def csv_text(points: PointSet) -> str:
-    """A .csv file that antsApplyTransformsToPoints reads: x,y,z (LPS) and t, then labels if any and other columns."""
-    further = dict(points.columns)
-    times = further.pop("t", ("0",) * len(points.points))
-    labels = {"label": tuple(map(_one_line, points.labels))} if any(points.labels) else {}
-    columns = {**labels, **further}
-    rows = [[*place, time, *(texts[i] for texts in columns.values())] for i, (place, time) in
-            enumerate(zip(_lps(points), times))]
-    return _csv([["x", "y", "z", "t", *columns], *rows])
+    """A table as it was read; of other points the one that antsApplyTransformsToPoints reads: x,y,z (LPS), t, label."""
+    label = ["label"] if any(points.labels) else []
+    header = ("x", "y", "z", "t", *label, *(name for name in points.columns if name != "t"))
+    return _columns(points, points.form or Form(header, ",", ("x", "y", "z"), *(label or [None]), tuple(LPS)))
+
+
+def tsv_text(points: PointSet) -> str:
+    """A table as it was read; of other points one that 3D Slicer reads: label, r,a,s."""
+    header = ("label", "r", "a", "s", *points.columns)
+    return _columns(points, points.form or Form(header, "\t", ("r", "a", "s"), "label", tuple(RAS)))
+
+
+def _columns(points: PointSet, form: Form) -> str:
+    places = (points.points * form.signs / form.unit + 0.0).tolist()
+    columns = {**points.columns, **dict(zip(form.places, zip(*places))), form.label: map(_one_line, points.labels)}
+    columns = {name: tuple(columns[name]) if name in columns else ("0",) * len(places) for name in form.header}
+    return _csv([form.header, *zip(*columns.values())], form.separator)
 
 
 def tag_text(points: PointSet) -> str:
@@ -162,7 +211,7 @@ def _one_line(label: str) -> str:
     return NO_LABEL.sub(" ", label)
 
 
-def _csv(rows) -> str:
+def _csv(rows, separator: str = ",") -> str:
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    csv.writer(text, lineterminator="\n", delimiter=separator).writerows(rows)
     return text.getvalue()

@@ -12,12 +12,39 @@ FARTHEST = 1e4  # mm, farther from the origin than any patient
 RAS, LPS = np.array([1.0, 1.0, 1.0]), np.array([-1.0, -1.0, 1.0])  # what turns a file's axes to RAS and back
 
 
+#: What is said of a point file that is not read: `content.file_bytes`.
+POINT_FILE = {
+    "no file": ("E308", "{name} is a folder, pipe or device, not a file. Correct the path."),
+    "empty": ("E308", "{name} is empty (0 bytes). Save the points again."),
+    "large": ("E308", "{name} holds {size}; at most {limit} are read. Is it a point file?"),
+    "unread": ("E308", "{name} cannot be read: {reason}. Copy it again."),
+}
+
+
+@dataclass(frozen=True)
+class Form:
+    """How a table is laid out, so that it is written as it was read.
+
+    Names of all columns, in their order; their `separator`; which of them are coordinates, and which one is the label,
+    None for none. `signs` (3,) and mm a `unit` take the coordinates to RAS mm; `stated`: the file says so, or a file
+    beside it, or it is assumed.
+    """
+
+    header: tuple[str, ...]
+    separator: str
+    places: tuple[str, str, str]
+    label: str | None
+    signs: tuple[float, float, float]
+    unit: float = 1.0
+    stated: bool = True
+
+
 @dataclass(frozen=True, eq=False)
 class PointSet:
     """Points of one `kind` of `LEAST`, in their order: `points` (n, 3) world RAS mm, `labels` (n,), "" where none.
 
-    A ClosedCurve goes on from its last point to its first, which is not repeated. `columns`: further columns of a CSV
-    file as text, each of n rows, which its writer puts back.
+    A ClosedCurve goes on from its last point to its first, which is not repeated. `columns`: further columns of a
+    table as text, each of n rows, which its writer puts back in the `form` that it had.
     """
 
     kind: str
@@ -25,6 +52,7 @@ class PointSet:
     points: np.ndarray
     labels: tuple[str, ...]
     columns: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    form: Form | None = None
 
     def __post_init__(self):
         if self.kind not in LEAST:
@@ -48,7 +76,8 @@ def shown(value) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-def point_set(kind: str, name: str, points, labels, file: str, columns: dict | None = None) -> PointSet:
+def point_set(kind: str, name: str, points, labels, file: str, columns: dict | None = None,
+              form: Form | None = None) -> PointSet:
     """A `PointSet` of what a `file` holds: E308 when its points are too few or too far away."""
     if len(points) < LEAST[kind]:
         raise unusable(file, f"has {len(points)} usable points for a {kind}, which needs {LEAST[kind]}. Place them, "
@@ -58,7 +87,7 @@ def point_set(kind: str, name: str, points, labels, file: str, columns: dict | N
         raise unusable(file, f"has a coordinate of {far:.3g} mm; beyond {FARTHEST:.0e} mm there is no patient. "
                              "Check its units.")
     texts = [label.encode("utf-8", "replace").decode() for label in labels]  # JSON can hold halves of characters
-    return PointSet(kind, name, points, tuple(texts), columns or {})
+    return PointSet(kind, name, points, tuple(texts), columns or {}, form)
 
 
 def frame_suspicion(points, inside) -> str | None:

@@ -60,6 +60,27 @@ def check_dicom(folder: Path) -> None:
     _images(folder, "dicom", _write_dicom, ROUNDED, ("RAS", "LPS", "oblique"))
 
 
+def check_nifti_frames(folder: Path) -> None:
+    """An image whose sform and qform differ: either is read when it is asked for, and what is written has both."""
+    values, sform = OBLIQUE.volume()
+    _, qform = STRAIGHT.volume()
+    image = nibabel.Nifti1Image(values.astype(np.float32), sform)
+    image.set_qform(qform, 1)
+    image.set_sform(sform, 2)
+    nibabel.save(image, folder / "two.nii.gz")
+    for wanted, affine in (("auto", sform), ("sform", sform), ("qform", qform)):
+        found = read_image(folder / "two.nii.gz", nifti_frame=wanted)
+        agree(f"the place of an image by its {wanted} frame", found.affine, affine, MM)
+        frame = take_slice(found, plane="axial", index=1)
+        nibabel.save(to_nifti(frame, frame.values), folder / "one.nii.gz")
+        for name in ("two.nii.gz", "one.nii.gz"):
+            first = (0, 0, 0 if name == "one.nii.gz" else 1)
+            theirs = nibabel.load(folder / name).affine @ [*first, 1]
+            agree(f"the slice of {name} in nibabel", theirs[:3], (sform @ [0, 0, 1, 1])[:3], MM)
+            theirs = sitk.ReadImage(str(folder / name)).TransformIndexToPhysicalPoint(first)
+            agree(f"the slice of {name} in SimpleITK", theirs, (qform @ [0, 0, 1, 1])[:3] * [-1, -1, 1], MM)
+
+
 def _images(folder: Path, name: str, write, tolerance=EXACT, orders=tuple(ORDERS)) -> None:
     """The image of the scene in several storage orders: written, read, warped, and looked at where the file puts it."""
     for label in orders:
@@ -157,6 +178,10 @@ READ = {
     "old.fcsv": "# CoordinateSystem = 0\n# columns = id,x,y,z,label\n1,12,-34,56,one\n",
     "lps.csv": "x,y,z,label\n-12,34,56,one\n",
     "ras.csv": "r,a,s,label\n12,-34,56,one\n",
+    "slicer.csv": "label,r,a,s,defined,selected,visible,locked,description\none,12,-34,56,1,1,1,0,\n"
+                  "two,0,0,0,0,1,1,0,\n",
+    "slicer.tsv": "label\tl\tp\ts\tdefined\tselected\none\t-12\t34\t56\t1\t1\n",
+    "sub-1_electrodes.tsv": "name\tx\ty\tz\none\t1.2\t-3.4\t5.6\ntwo\tn/a\tn/a\tn/a\n",
     "ras.tag": 'MNI Tag Point File\nVolumes = 1;\nPoints =\n 12 -34 56 "one";\n',
 }
 #: Name of a file that is written: how its first point is found in its text, and its signs against RAS.
@@ -168,10 +193,17 @@ WRITTEN = {
 }
 
 
+SYSTEM = '{"iEEGCoordinateSystem": "ScanRAS", "iEEGCoordinateUnits": "cm"}'
+
+
 def check_points(folder: Path) -> None:
+    (folder / "sub-1_coordsystem.json").write_text(SYSTEM)
     for name, text in READ.items():
         (folder / name).write_text(text)
-        agree(f"the point in {name}", read_points(folder / name).points, STATED.points, 1e-9)
+        found = read_points(folder / name)
+        agree(f"the point in {name}", found.points, STATED.points, 1e-9)
+        write_points(folder / name, found)
+        agree(f"the point in {name}, written anew", read_points(folder / name).points, STATED.points, 1e-9)
     for name, (first, signs) in WRITTEN.items():
         write_points(folder / name, STATED)
         agree(f"the point written to {name}", [float(x) for x in first((folder / name).read_text())],
@@ -217,6 +249,7 @@ def check_streamlines(folder: Path) -> None:
 CHECKS = (
     ("NIfTI images by nibabel", check_nifti_nibabel, "nibabel"),
     ("NIfTI images by SimpleITK", check_nifti_itk, "SimpleITK"),
+    ("NIfTI frames, both, in nibabel and SimpleITK", check_nifti_frames, "nibabel"),
     ("MGZ images by nibabel", check_mgz, "nibabel"),
     ("NRRD images by SimpleITK", check_nrrd, "SimpleITK"),
     ("MetaImage images by SimpleITK", check_metaimage, "SimpleITK"),
@@ -226,7 +259,7 @@ CHECKS = (
     ("fields .nii.gz in SimpleITK", check_field_nifti, "SimpleITK"),
     ("vectors of NIfTI, NRRD, MetaImage; FSL, ANTs, MRtrix, ITK", check_vectors, "nibabel"),
     ("tensors of NIfTI, NRRD; FSL, ANTs, MRtrix, ITK", check_tensors, "nibabel"),
-    ("point files .mrk.json, .fcsv, .csv, .tag", check_points, "xfemnav"),
+    ("point files .mrk.json, .fcsv, .csv, .tsv, .tag", check_points, "xfemnav"),
     ("landmarks there and back", check_landmarks, "xfemnav"),
     ("streamlines .trk, .trk.gz, .tck", check_streamlines, "nibabel"),
     ("surfaces .stl, .vtk, .vtp, .gii, .obj, .ply", check_surfaces, "meshio"),

@@ -121,9 +121,12 @@ def _image(result: Result, path: Path, target: Path, choices: Choices) -> str:
 
 
 def _points(result: Result, path: Path, target: Path, choices: Choices) -> str:
+    from xfemnav.imaging.landmarks import warn_of_points
     from xfemnav.imaging.point_files import read_points, write_points
 
-    found = read_points(path)
+    found, organ = read_points(path), result.organ
+    outline = result.outline if choices.inverse else organ.points[organ.boundary_loops[0]]
+    warn_of_points(found, path.name, result.frame, outline)
     moved = result.landmarks(found.points, choices.side, inverse=choices.inverse)
     write_points(target, placed(found, moved, one_lip=choices.side is not None))
     return _counted(moved.flag, "points")

@@ -298,7 +298,8 @@ class Chain:
             return hashlib.sha256(bounded_bytes(path, self.config.limit)).hexdigest()
         alone = kind(role) in ("mesh_file", "points") or path.name.lower().endswith(ALONE)
         if alone and not os.path.isdir(path):
-            return file_digest(path)
+            beside = _beside(path) if kind(role) == "points" else None
+            return file_digest(path) if beside is None else digest([file_digest(path), file_digest(beside)])
         from xfemnav.imaging.reading import content_digest
 
         return content_digest(path, max_memory_gb=self.config.max_memory_gb)
@@ -350,6 +351,13 @@ def drawn_after(params) -> set[int]:
     """The steps in whose deformed slices cuts or resections of a problem were drawn."""
     drawn = (item.drawn_after for item in (*params.cuts, *params.resections))
     return {step for step in drawn if step is not None}
+
+
+def _beside(path: Path) -> Path | None:
+    """The file beside a table of points that says in what frame it counts."""
+    from xfemnav.imaging.coordsystem import beside
+
+    return beside(path)
 
 
 def _changed(path: Path) -> XfemnavError:

@@ -65,7 +65,7 @@ PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.fil
 BACKSLASH = ("In double quotes a backslash begins an escape: write a path of Windows in single quotes, 'C:\\Users', or "
              "with /.")
 CONTROL = re.compile(r"[\x01-\x1f\x7f]")
-MARKUPS = (".json", ".fcsv", ".csv", ".tag")
+MARKUPS = (".json", ".fcsv", ".csv", ".tsv", ".tag")
 KINDS = ("continuous", "label", "vector", "axis", "tensor")
 OF_COMPANIONS = {"axes": "axes", "tensor_order": "order"}  # flag: key of every companion that is given by a flag
 MASKS = (".nii", ".nii.gz", ".nrrd", ".mha", ".mgz")

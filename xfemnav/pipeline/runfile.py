@@ -78,7 +78,7 @@ def json_text(value: dict) -> str:
 
 def stem(image: Path) -> str:
     """Name of an image, point file, tractogram or surface without its ending."""
-    endings = (r"\.(nii|nrrd|nhdr|mha|mhd|mgz|mgh|mrk\.json|json|fcsv|csv|tag|trk|tck|"
+    endings = (r"\.(nii|nrrd|nhdr|mha|mhd|mgz|mgh|mrk\.json|json|fcsv|csv|tsv|tag|trk|tck|"
                r"stl|vtk|vtp|surf\.gii|gii|obj|ply)(\.gz)?$")
     return re.sub(endings, "", image.name, flags=re.IGNORECASE)
 

@@ -87,7 +87,7 @@ class CutSection(Section):
     name: Name = Field("cut", description="what retractions, steps and reports call it")
     points: Points | None = Field(None, description="2 numbers a point (plane), or 3 (world)")
     markups: Path_ | None = Field(
-        None, description="point file in place of `points`: .mrk.json, .fcsv, .csv, .tag; it says its own frame")
+        None, description="point file in place of `points`: .mrk.json, .fcsv, .csv, .tsv, .tag; it says its own frame")
     markup: str | None = Field(None, description="which markup of a file with several")
     smooth: bool = Field(False, description="the points are those of a smooth curve, sampled to 0.05 mm")
     craniotomy: bool = Field(True, description="false: this mouth frees nothing at the skull")
@@ -330,7 +330,7 @@ class Scenario(Section):
         4.0, description="of labels and masks that are taken out: bits smaller than a disc this wide stay, holes go")
     max_memory_gb: Positive = Field(4.0, description="largest image to read, GB")
     strict: bool = Field(False, description="warnings are errors")
-    points: Paths_ = Field((), description="files of landmarks to move: .mrk.json, .fcsv, .csv, .tag")
+    points: Paths_ = Field((), description="files of landmarks to move: .mrk.json, .fcsv, .csv, .tsv, .tag")
     streamlines: Paths_ = Field((), description="tractograms to move: .trk, .trk.gz, .tck")
     surfaces: Paths_ = Field((), description="surfaces to move: .stl, .vtk, .vtp, .gii, .obj, .ply")
     slice: SliceSection = SliceSection()

@@ -22,7 +22,7 @@ def facts(value, inputs):
     items = inputs.config.carry.companions
     landmarks = [item for item in items if item.kind == "points"]
     for item in landmarks:
-        _warn_of_frame(item, inputs)
+        _warn_of_places(item, inputs)
     tables = {"points": [_moved(item, inputs)[1] for item in landmarks],
               "surfaces": [{"file": inputs.files[item.role].name} | value[number].table
                            for number, item in enumerate(items) if item.kind == "surfaces"]}
@@ -128,16 +128,13 @@ def placed(found, moved, one_lip=False):
     return replace(found, points=np.array(rows).reshape(-1, 3), labels=tuple(labels), columns=columns)
 
 
-def _warn_of_frame(item, inputs):
-    """W131 where a file of landmarks seems to count in another frame, W132 where landmarks lie off the slice."""
-    from xfemnav.imaging.landmarks import warn_of_frame, warn_of_slice
+def _warn_of_places(item, inputs):
+    """W131 and W132 of a file of landmarks."""
+    from xfemnav.imaging.landmarks import warn_of_points
     from xfemnav.imaging.point_files import read_points
 
     (slice, _), mesh, path = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role]
-    points = read_points(path).points
-    warn_of_frame(points, path.name, slice, mesh.points[mesh.boundary_loops[0]],
-                  "Check the frame that the file states.")
-    warn_of_slice(points, path.name, slice)
+    warn_of_points(read_points(path), path.name, slice, mesh.points[mesh.boundary_loops[0]])
 
 
 def _streamlines(item, params, inputs):
