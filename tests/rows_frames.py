@@ -46,8 +46,9 @@ def tables(folder):
     result = xfemnav.run(path, cut=CUT, points=[folder / name for name in names], output=folder / "out",
                          cache=folder / "cache", **SMALL)
     places = []
-    for role, (header, _) in zip(("points", "points:b", "points:sub-01_electrodes"), names.values()):
-        written = folder / "out" / result.record["outputs"][role]
+    tables = [name for role, name in sorted(result.record["outputs"].items()) if name.endswith((".csv", ".tsv"))]
+    for name, (header, _) in zip(tables, names.values(), strict=True):
+        written = folder / "out" / name
         assert written.read_text().splitlines()[0] == header
         places.append(read_points(written).points)
     wanted = result.to_current([[-25.0, 5, 10]])
