@@ -87,7 +87,7 @@ def thin_flap(folder):
 def finite_flap(folder):
     """The same with finite strains, which turn it as it is: only where it goes is not to be believed."""
     record = run(folder, flap(3.0, "neo-hookean"), element_size_mm=6, corridor_element_mm=2)
-    assert record["status"] == "complete" and codes(record) == ["W407"]
+    assert record["status"] == "complete" and "W407" in codes(record)
     assert record["checks"]["turning_mm"] is None and record["checks"]["tripled_mm2"] == 0
     return f"it moves by {record['checks']['max_displacement_mm']:.0f} mm, over 20", "W407"
 
@@ -106,7 +106,7 @@ def beside_gravity(folder):
     """Gravity is not scaled: the tissue has sunk at any opening."""
     for name in ("safe", "more"):
         (folder / name).mkdir()
-    given = {"cut": CUT, "gravity": "0,-1", "skull": "contact", "young_kpa": 0.7}
+    given = {"cut": CUT, "gravity": "0,-1", "skull": "contact", "young_kpa": 1.0}
     return named_part_is_safe(folder, "opening", given | {"opening_mm": 40}, lambda part: {"opening_mm": 40 * part})
 
 

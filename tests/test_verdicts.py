@@ -139,7 +139,8 @@ def test_all_that_blades_do_is_scaled_and_nothing_else():
      "opening is 0.73 of this one ('left' displacement_mm = 0.73,1.46)"),
 ])
 def test_the_part_is_told_as_what_to_give(blades, more, wanted):
-    empty = {"cut": "cut", "displacement_mm": None, "normal_mm": None, "force_mN_per_mm": None, "blade": [0.0, 0.8]}
+    empty = {"cut": "cut", "displacement_mm": None, "normal_mm": None, "force_mN_per_mm": None, "relative_to": None,
+             "blade": [0.0, 0.8]}
     parameters = {"cut": [{"name": "cut"}], "step": [], "retract": [empty | {"name": b["side"]} | b for b in blades]}
     assert wanted in told(0.73, parameters | more)
     assert told(None, parameters | more).startswith("No part of this ")
@@ -181,7 +182,7 @@ CASES = {  # what is asked, as a function of a part of it
     "finite strains": lambda part: {"cut": CUT, "left": f"0,{-6 * part}", "lips": "free", "model": "neo-hookean"},
     "forces": lambda part: {"cut": CUT, "lip_force": [f"left=0,{60 * part}", f"right=0,{-60 * part}"]},
     "with gravity": lambda part: {"cut": CUT, "opening_mm": 40 * part, "gravity": "0,-1", "skull": "contact",
-                                  "young_kpa": 0.7},
+                                  "young_kpa": 1.0},
     "with a gap": lambda part: {"cut": CUT, "opening_mm": 60 * part, "skull": "contact", "skull_gap_mm": 2.0},
     "lies twice": lambda part: {"cut": CUT, "left": f"0,{-6 * part}", "lips": "free"},
     "steps": lambda part: {"scenario": STEPS.format(26 * part)},
