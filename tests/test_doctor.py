@@ -19,6 +19,8 @@ from xfemnav.imaging import (
     nrrd,
     point_tables,
     roundtrip,
+    surface_files,
+    surfaces,
     transform,
     vectors,
     warp,
@@ -77,6 +79,9 @@ def test_the_known_scene_is_what_it_says():
     (roundtrip, "moved_points", lambda points, frame, motion, _: landmarks.resting_points(
         points, frame, motion, known.HALF * roundtrip.AROUND), {"landmarks"}),
     (files, "SAME_MM", 50.0, {"meshes"}),
+    (surface_files, "FRAMES", {"ras": np.eye(4), "lps": np.diag([*MIRRORED, 1.0])}, {"surfaces"}),
+    (surfaces, "moved_points", lambda points, frame, motion, _: landmarks.resting_points(
+        points, frame, motion, known.HALF * roundtrip.AROUND), {"surfaces"}),
 ])
 def test_a_planted_fault_is_found(tmp_path, monkeypatch, module, name, value, found):
     monkeypatch.setattr(module, name, value)
