@@ -223,6 +223,19 @@ def test_utf_16_is_told_by_its_name(tmp_path):
         read_points(saved(tmp_path, slicer_table("\t").encode("utf-16"), "p.tsv"))
 
 
+@pytest.mark.parametrize("status, placed", [("2", True), ("0", False), ("1", False), ("3", False)])
+def test_fiducials_that_were_never_placed_are_left_out(tmp_path, status, placed):
+    """Slicer 5 writes the position's status and one more entry behind the columns that it names."""
+    found = read_points(saved(tmp_path, f"{SLICER_4_13}3,0,0,0,0,0,0,1,1,1,0,F-3,,,{status},0\n", "p.fcsv"))
+    assert found.labels == ("F-1", "F, 2", "F-3")[:3 if placed else 2]
+
+
+def test_rows_without_coordinates_were_never_placed(tmp_path):
+    found = read_points(saved(tmp_path, "label,r,a,s,\nF-1,-10.5,20.25,30,\nF-0,,,,\nF-2,-12,8.125,31.5,\n"))
+    np.testing.assert_array_equal(found.points, RAS_POINTS)
+    assert code_of(saved(tmp_path, "r,a,s\n1,2,3\n1,,3\n")) == "E308"
+
+
 def test_no_control_point_is_lost_between_the_two_ways_to_read(tmp_path):
     path = saved(tmp_path, TAG, "a.tag")
     np.testing.assert_array_equal(read_control_points(path).points, read_points(path).points)

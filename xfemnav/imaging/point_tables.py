@@ -18,6 +18,7 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 LINE_END = re.compile(r"\r\n?|\n")
 NO_LABEL = re.compile(r"[\x00-\x1f\x7f\x85\u2028\u2029]+")  # what a label on one line cannot hold
 FCSV_COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
+PLACED = "2", ""  # of the positions undefined, preview, defined, missing of Slicer
 FCSV_FRAMES = {"0": RAS, "RAS": RAS, "1": LPS, "LPS": LPS}
 QUOTED = r'"(?:\\.|[^"\\\n])*"?'  # one that is not closed ends with its line
 TAG_COMMENT = re.compile(rf"({QUOTED})|[%#][^\n]*")
@@ -35,8 +36,8 @@ def read_fcsv(text: str, file: str, stem: str) -> PointSet:
         if line.startswith("#"):
             key, _, value = line[1:].partition("=")
             header[key.strip().lower()] = value.strip()
-        elif line.strip():
-            rows.append((number, _fields(line, number, file)))
+        elif line.strip() and _status(fields := _fields(line, number, file)) in PLACED:
+            rows.append((number, fields))
     frame = header.get("coordinatesystem", "").upper()
     if frame not in FCSV_FRAMES:
         what = ("counts in voxels of an image that it does not name (CoordinateSystem IJK). Save it in LPS."
@@ -51,14 +52,19 @@ def read_fcsv(text: str, file: str, stem: str) -> PointSet:
     return point_set("Fiducial", stem, np.reshape(points, (-1, 3)) * FCSV_FRAMES[frame] + 0.0, labels, file)
 
 
+def _status(fields: list[str]) -> str:
+    """The positionStatus of a fiducial, which Slicer 5 writes with a last entry behind those that the header names."""
+    return fields[-2].strip() if len(fields) == len(FCSV_COLUMNS.split(",")) + 2 else ""
+
+
 def read_columns(text: str, file: str, stem: str, unit: float | None = None) -> PointSet:
     """Points of a table with a header: commas, semicolons or tabs between its columns.
 
     r,a,s are RAS and l,p,s LPS, as 3D Slicer writes its tables. x,y,z between commas or semicolons are LPS, as ANTs and
     ITK count. Between tabs they are those of BIDS: RAS in mm of `unit`, or what nobody says (None), and then they are
     taken as RAS mm, and the form is not `stated`. Columns mean what they are called, in small or large letters: `label`
-    or `name` the labels; rows whose `defined` is 0, or whose coordinates are n/a, were never placed and are left out.
-    All further columns are kept in `columns`.
+    or `name` the labels; rows whose `defined` is 0, or whose coordinates are n/a or empty, were never placed and are
+    left out. All further columns are kept in `columns`.
     """
     separator, axes = separated(text)
     if not separator:
@@ -102,14 +108,16 @@ def separated(text: str) -> tuple[str, str]:
 
 
 def _is_placed(row: list[str], names: list[str], places: list[int], number: int, file: str) -> bool:
-    """Whether a row of a table has a place: it does not say that it is undefined, and no coordinate is n/a."""
+    """Whether a row of a table has a place: it does not say that it is undefined, its coordinates are there, and none
+    is n/a."""
     if "defined" in names:
         word = _at(row, names.index("defined")).strip().lower()
         if word not in DEFINED:
             raise unusable(file, f"has {shown(word)} in line {number} as `defined`, which is 1 or 0.")
         if not DEFINED[word]:
             return False
-    return not any(_at(row, k).strip().lower() == MISSING for k in places)
+    words = [_at(row, k).strip().lower() for k in places]
+    return any(words) and MISSING not in words
 
 
 def read_tag(text: str, file: str, stem: str) -> PointSet:
