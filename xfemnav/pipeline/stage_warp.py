@@ -3,6 +3,9 @@
 # Contact keeps lips apart in the mean over a bit more than an element: between, they overlap by up to .05 mm. A pixel
 # centre this near to a lip lies in such a sliver, not in tissue that has moved through the other.
 SLIVER_MM = 0.06
+# At a tip, specks and lines of tissue lie twice that no mesh resolves. A pixel that none of its neighbours joins is
+# looked at more closely: of the square of twice a sliver's width about its centre a third must lie twice.
+FEW, FINE, SHARE = 4, 13, 1 / 3
 
 
 def compute(params, inputs):
@@ -40,16 +43,29 @@ def lying_twice(overlap, slice, problem, solution):
     import shapely
 
     from xfemnav.geometry.affine_map import PiecewiseAffineMap
+    from xfemnav.imaging.masks import components
 
     twice = np.array(overlap)
-    if not twice.any() or not problem.cuts:
-        return twice
-    motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
-    found = [motion.lip_now(k, side) for k in range(len(problem.cuts)) for side in (1, -1)]
-    lips = shapely.MultiLineString([points for points in found if len(points) > 1])
-    centres = shapely.points(slice.pixel_centres()[twice])
-    twice[twice] = shapely.distance(centres, lips) > SLIVER_MM
+    if twice.any() and problem.cuts:
+        motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
+        found = [motion.lip_now(k, side) for k in range(len(problem.cuts)) for side in (1, -1)]
+        lips = shapely.MultiLineString([points for points in found if len(points) > 1])
+        centres = shapely.points(slice.pixel_centres()[twice])
+        twice[twice] = shapely.distance(centres, lips) > SLIVER_MM
+    if twice.any():
+        number = components(twice)
+        alone = twice & (np.bincount(number[twice])[number] < FEW)
+        twice[alone] = [_is_wide(centre, solution) for centre in slice.pixel_centres()[alone]]
     return twice
+
+
+def _is_wide(centre, solution) -> bool:
+    """Whether tissue lies twice not just at a point (2,) mm of the plane, but about it."""
+    from xfemnav.imaging.warp import pull_back
+
+    step = 2 * SLIVER_MM / (FINE - 1)
+    found = pull_back(solution.rest, solution.moved, centre - SLIVER_MM, (step, step), (FINE, FINE))
+    return bool(found.overlap.mean() > SHARE)
 
 
 def _twice(value, inputs):
