@@ -79,4 +79,7 @@ def test_a_fill_that_the_type_cannot_hold():
     with pytest.raises(XfemnavError, match="E780"):
         asked_blank(values, ORGAN, "nearest", "keep", 0.5)
     assert asked_blank(values, ORGAN, "linear", "keep", -1000.0) == -1000
+    for fill in (float("nan"), float("inf"), 1e39):
+        with pytest.raises(XfemnavError, match="E780"):
+            blank_of(values, ORGAN, fill)
     assert asked_blank(values > 0, ORGAN, "nearest", "keep", None) == 0

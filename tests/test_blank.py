@@ -164,7 +164,8 @@ def test_labels_and_what_turns_are_0_without_tissue(runs, tmp_path):
     assert set(np.unique(np.asarray(made.dataobj)[empty])) == {0} and made.get_data_dtype() == np.uint8
     wide = result.warp(tmp_path / "x_dseg.nii.gz", fill=-1000)    # what uint8 cannot hold
     assert set(np.unique(np.asarray(wide.dataobj)[empty])) == {-1000} and wide.get_data_dtype() == np.int32
-    with pytest.raises(package.XfemnavError, match=r"E131.*fill 0\.5"):
-        result.warp(tmp_path / "x_dseg.nii.gz", fill=0.5)
+    for fill, code in ((0.5, "E131"), (1e20, "E131"), (float("nan"), "E780"), (float("inf"), "E780")):
+        with pytest.raises(package.XfemnavError, match=code):
+            result.warp(tmp_path / "x_dseg.nii.gz", fill=fill)
     field = write(tmp_path / "v.nii.gz", np.ones((*brain().shape, 1, 3), np.float32))
     assert not np.asarray(result.warp(field, kind="vector", axes="world", fill=7).dataobj)[empty].any()

@@ -7,6 +7,7 @@ show what an image has where there is nothing.
 import numpy as np
 
 from xfemnav.errors import XfemnavError, warn
+from xfemnav.imaging.reading import LARGEST
 
 BLOCK = 0.1  # of each side of an image: the edge of its corner blocks
 RANGE = 1.0, 99.0  # percentiles of the organ's values between which a value looks like tissue
@@ -35,9 +36,16 @@ def background(corners, tissue) -> float:
 def blank_of(values, organ, fill: float | None = None) -> float:
     """The value for pixels without tissue of an image (n1, n2): `fill`, or the background where that is None.
 
-    `organ` (n1, n2) bool is where the organ was.
+    `organ` (n1, n2) bool is where the organ was. Raises E780 for a `fill` that no image can hold.
     """
-    return background(corner_values(values), values[organ]) if fill is None else float(fill)
+    return background(corner_values(values), values[organ]) if fill is None else storable(fill)
+
+
+def storable(fill: float) -> float:
+    """A given `fill`. Raises E780 where it is NaN or infinite in float32, in which results are stored."""
+    if not abs(fill) <= LARGEST:
+        raise XfemnavError("E780", f"fill {fill:g} is no finite number of float32, in which images are stored.")
+    return float(fill)
 
 
 def asked_blank(values, organ, interp: str, outside: str, fill: float | None) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.imaging import tensors
-from xfemnav.imaging.background import background, corner_values, warn_of_blank
+from xfemnav.imaging.background import background, corner_values, storable, warn_of_blank
 from xfemnav.imaging.conventions import DIRECTED, ORDERS, Convention, convention, six
 from xfemnav.imaging.formats import RAS
 from xfemnav.imaging.nifti import SYMMETRIC
@@ -80,9 +80,10 @@ def _values(companion, kind: str) -> np.ndarray:
 
 
 def _blank(given, values, carried, seen, kind: str, fill: float | None, outside: str) -> np.ndarray:
-    """The value (nc,) of each volume for pixels without tissue. Raises E131, warns W211."""
+    """The value (nc,) of each volume for pixels without tissue. Raises E131, E780, warns W211."""
+    fill = None if fill is None else storable(fill)
     if kind == "label":
-        if fill is not None and fill != int(fill):
+        if fill is not None and not (fill == int(fill) and abs(fill) < 2**31):
             raise XfemnavError("E131", f"{given.companion.name} holds labels, and fill {fill:g} can be none. Leave it "
                                        "out: labels then get 0, and each image its own background.")
         return np.array([0.0 if fill is None else fill])
