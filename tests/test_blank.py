@@ -169,3 +169,17 @@ def test_labels_and_what_turns_are_0_without_tissue(runs, tmp_path):
             result.warp(tmp_path / "x_dseg.nii.gz", fill=fill)
     field = write(tmp_path / "v.nii.gz", np.ones((*brain().shape, 1, 3), np.float32))
     assert not np.asarray(result.warp(field, kind="vector", axes="world", fill=7).dataobj)[empty].any()
+
+
+def test_what_is_warned_of_companions_is_told_from_the_cache_too(tmp_path):
+    write(tmp_path / "head.nii.gz")
+    write(tmp_path / "x.nii.gz", np.where(brain() > 600, 2, brain() > 0).astype(np.uint8)[:40])
+    told = []
+    for name in ("first", "second"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", XfemnavWarning)
+            result = package.run(tmp_path / "head.nii.gz", cut=CUT, opening_mm=4.0, element_size_mm=8.0,
+                                 corridor_element_mm=4.0, companion=(str(tmp_path / "x.nii.gz"),), report=False,
+                                 output=tmp_path / name, cache=tmp_path / "cache")
+        told.append([item for item in result.record["warnings"] if item["code"] in ("W130", "W135")])
+    assert len(told[0]) == 2 and told[0] == told[1] and result.record["stages"][-1]["status"] == "cached"
