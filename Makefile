@@ -35,12 +35,13 @@ steps: $(INSTALLED)  ## docs/steps.md: an operation in five steps on a real slic
 batch: $(INSTALLED)  ## make batch IN=folder OUT=folder -j N: every slice of IN that has a <stem>.toml beside it
 	$(BIN)/xfemnav batch "$(IN)" "$(OUT)" -j $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),1)
 
+# Two workers share the cores: the linear algebra's own threads would only be in each other's way.
 test: $(INSTALLED)  ## the tests that run in minutes
-	$(BIN)/python -m pytest -m "not slow" -n 2
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2
 
 test-all: $(INSTALLED)  ## all tests, long batteries too; the independent reference needs gmsh and scikit-fem
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'
-	HYPOTHESIS_PROFILE=default $(BIN)/python -m pytest -n 2
+	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 HYPOTHESIS_PROFILE=default $(BIN)/python -m pytest -n 2
 
 fuzz: $(INSTALLED)  ## make fuzz FUZZ=nifti|markups|scenario SECONDS=600: readers under coverage-guided nonsense
 	$(BIN)/python -m pip install -q --disable-pip-version-check atheris
