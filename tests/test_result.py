@@ -276,13 +276,14 @@ def test_damaged_kernels_are_compiled_anew(tmp_path, monkeypatch):
 
     assert run() == ["1", "0"] and run() == ["1", "1"]
     folder, = (toy / "__pycache__").glob(f"{kernels.NAME}*")
-    for pattern in ("*.nbc", "*.nbi", kernels.SEALED):
+    for pattern in ("*.nb[ic]", kernels.SEALED):
         for path in folder.rglob(pattern):
             data = bytearray(path.read_bytes())
             for at in range(len(data) // 3, len(data), 97):
                 data[at] ^= 0x10
             path.write_bytes(data)
-        assert run() == ["1", "0"] and run() == ["1", "1"], pattern
+        assert run() == ["1", "0"], pattern
+    assert run() == ["1", "1"]
 
 
 def test_transforms_for_other_programs(opened, tmp_path):

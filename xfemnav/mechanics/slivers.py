@@ -119,8 +119,7 @@ def warn_of_slivers(space: Space, cuts, resections, retractions, spans) -> None:
                 "W305",
                 f"the blade on the {side} lip of cut '{cuts[retraction.cut].name}' holds a sliver over {share:.0%} of "
                 f"its length, about ({x:.1f}, {y:.1f}) mm: tissue under {width:.1f} mm wide, or that hangs on by as "
-                "little. "
-                "What is behind it is not retracted; move the blade or the cut, or take the sliver out.",
+                "little. What is behind it is not retracted; move the blade or the cut, or take the sliver out.",
             )
 
 
@@ -129,7 +128,8 @@ def _tissue(space, resections):
     organ = shapely.Polygon(space.mesh.points[space.mesh.boundary_loops[0]])
     hair = 1e-3 * float(space.mesh.sizes.min())
     gone = [item.region for item in resections]
-    gone += [shapely.LineString(path).buffer(hair, cap_style="flat") for path in space.subcells.paths]
+    drawn = (path for path in space.subcells.paths if len(path) > 1)  # of one in a resection nothing is left
+    gone += [shapely.LineString(path).buffer(hair, cap_style="flat") for path in drawn]
     return organ.difference(shapely.union_all(gone))
 
 
