@@ -17,8 +17,8 @@ from scipy.ndimage import binary_erosion
 from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 
 from xfemnav.pipeline import keys, stage_segment
-from xfemnav.pipeline.chain import recorded
 from xfemnav.pipeline.config import STAGES, configure
+from xfemnav.pipeline.inputs import recorded
 from xfemnav.pipeline.runfile import (
     CARRIED,
     NAMES,

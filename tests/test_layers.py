@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -103,6 +104,14 @@ def test_imports_keep_to_the_layers(path):
 ])
 def test_the_check_sees_a_wrong_import(layer, source):
     assert len(faults(layer, source)) == 1
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    """Wherever the import stands, in a function too: what a module needs is there before it."""
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in PACKAGE}
+    graph = {name: {own for module, _ in imports(path.read_text()) for own in (module, module.rpartition(".")[0])
+                    if own in names and own != name} for name, path in names.items()}
+    assert len(list(TopologicalSorter(graph).static_order())) == len(PACKAGE)  # CycleError names the circle
 
 
 def test_the_table_is_the_design():

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.chain import Warned, recorded
 from xfemnav.pipeline.disk import write_together, writing
+from xfemnav.pipeline.inputs import Warned, recorded
 from xfemnav.pipeline.result import Result
 from xfemnav.pipeline.runfile import BIDS, DESCRIBED, json_text, public_name, sidecar_name, slug, stem
 from xfemnav.pipeline.stage_carry import ending, placed, point_ending

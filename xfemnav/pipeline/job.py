@@ -14,9 +14,10 @@ from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
 from xfemnav.interruption import Interrupted, checkpoint
 from xfemnav.pipeline import stage_carry
 from xfemnav.pipeline.cache import Cache
-from xfemnav.pipeline.chain import STEPWISE, Chain, Done, Warned, page_key
+from xfemnav.pipeline.chain import Chain, page_key
 from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.disk import writing
+from xfemnav.pipeline.inputs import STEPWISE, Done, Warned
 from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 from xfemnav.pipeline.stage_safe import told

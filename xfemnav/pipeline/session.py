@@ -306,7 +306,7 @@ def _prepared(config, organ):
     """The slice, the mesh, the tissue, where the image ends inside it, and the planned cut (k, 2) plane mm, by the
     functions of the stages."""
     from xfemnav.pipeline import stage_constrain, stage_mesh, stage_segment
-    from xfemnav.pipeline.chain import Inputs
+    from xfemnav.pipeline.inputs import Inputs
 
     params, inputs = config.constrain, Inputs(config)
     drawn, slice, border = params.cuts[0], None, None

@@ -139,7 +139,7 @@ def _times(value, part):
 
 def _moved_by_blades(steps) -> list[int]:
     """The steps in which a blade acts, or for which something is drawn where a blade has moved the tissue."""
-    from xfemnav.pipeline.chain import drawn_after
+    from xfemnav.pipeline.inputs import drawn_after
 
     moved = []
     for k, step in enumerate(steps):
@@ -151,7 +151,7 @@ def _moved_by_blades(steps) -> list[int]:
 def _trusted(steps, moved, part, inputs) -> bool:
     """Whether the steps `moved` by blades are trusted with a part of what these do."""
     from xfemnav.pipeline import stage_constrain, stage_solve
-    from xfemnav.pipeline.chain import Inputs
+    from xfemnav.pipeline.inputs import Inputs
 
     config = replace(inputs.config, steps=scaled(steps, part))
     values = {name: inputs.value(name) for name in ("segment", "mesh")}
