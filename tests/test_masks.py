@@ -64,3 +64,12 @@ def test_a_mask_of_nothing_or_everything_is_refused(code, full):
     with pytest.raises(XfemnavError) as found:
         one_piece(np.full((6, 7), full))
     assert found.value.code == code
+
+
+def test_a_mask_that_marks_what_surrounds_the_organ_is_told_as_inverted():
+    mask = np.ones((20, 20), bool)
+    mask[5:15, 5:15] = False
+    with pytest.raises(XfemnavError, match=r"E203 .*75% of the slice .*inverted"):
+        one_piece(mask)
+    with pytest.raises(XfemnavError, match=r"E203 .*covers the whole slice"):
+        one_piece(np.ones((5, 5), bool))

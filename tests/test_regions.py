@@ -80,6 +80,17 @@ def left_of(values, labels=None, least=LEAST):
     return told(caught)
 
 
+def test_a_number_that_the_map_does_not_hold_is_told():
+    """In a list the others are taken, and a slip of the keyboard leaves tumour: one on another slice is no slip."""
+    with pytest.warns(XfemnavWarning, match=r"W314 nothing is taken out for labels 3, 9, nowhere in seg.nii.gz"):
+        marked(map_of(nested()), FRAME, (1, 3, 4, 9))
+    values = np.stack([nested(), np.full_like(nested(), 3)], axis=2)
+    image = image_of(values, affine_of(np.eye(3), (0, 0, 0)), "seg.nii.gz")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        marked(image, FRAME, (1, 3, 4))
+
+
 def test_what_stays_is_told_with_its_label_and_area():
     values = nested()
     assert left_of(values, (1, 4)) == []
@@ -88,6 +99,10 @@ def test_what_stays_is_told_with_its_label_and_area():
     assert text.startswith("W208 7 mm2 of labels 1, 4 of seg.nii.gz (1 mm2 of label 1, 6 mm2 of label 4) stay: 2 "
                            "separate bits under 12.6 mm2")
     assert left_of(values, (1, 4), least=0.0)[0].startswith("W208 1 mm2")  # the pixel has no outline of its own
+    single = nested()
+    single[50:52, 40] = 1
+    (text,) = left_of(single, (1, 4), least=0.2)
+    assert "1 separate bit of 2 mm2 at most, under two pixels wide." in text  # a smaller size would not take it
     thin = np.zeros((60, 50))
     thin[20:36, 20:36], thin[36:56, 30] = 1, 1  # and the square's corners
     (text,) = left_of(thin)
@@ -164,9 +179,21 @@ def test_the_core_of_a_real_looking_tumour_is_taken_out_whole(tmp_path, seed, re
                      output=tmp_path / "out", report=False)
     core = sizeable(np.isin(labels, CORE), LEAST)
     taken = sum(item["area_mm2"] for item in result.record["resections"])
-    assert result.trusted and {warned["code"] for warned in result.record["warnings"]} <= {"W208", "W210"}
+    codes = {warned["code"] for warned in result.record["warnings"]}
+    assert result.trusted and codes <= {"W208", "W210", "W314"} and ("W314" in codes) == (resect == "label=1,3,4")
     assert taken > 0.99 * core.sum() - np.pi
     assert [piece["fate"] for piece in result.record["pieces"]] == ["fixed"]
     # Where the core was is the cavity, but for what of its rim is narrower than two pixels.
     pixels = np.argwhere(core) @ AFFINE[:2, :2] + AFFINE[:2, 3]
     assert np.isfinite(result.to_current(pixels)).all(axis=1).mean() < 0.02
+
+
+def test_what_is_warned_of_names_the_file_of_this_run(tmp_path):
+    """The same labels under another name are the same to the mechanics, and not to who reads the warning."""
+    image, seg, _ = head(tmp_path, 0)
+    other = tmp_path / "other.nii.gz"
+    other.write_bytes(seg.read_bytes())
+    for labels in (seg, other):
+        with pytest.warns(XfemnavWarning, match=f"W314 .* nowhere in {labels.name}"):
+            run(image, labels=labels, resect="label=1,3,4", gravity="-1,0", skull="contact", element_size_mm=6,
+                output=tmp_path / "out", cache=tmp_path / "cache", report=False)

@@ -228,7 +228,7 @@ FAULTS: dict[str, Fault] = {
     "W312": Fault(0, "loose piece removed", "A piece that nothing holds was cut free, and removed as asked.", "Check that it was taken out."),
     "W313": Fault(0, "loose piece held at its mean", "A piece that nothing holds was cut free, and kept in its place in the mean as asked.",
                   "Do not trust where it lies."),
-    "W314": Fault(0, "label not in the slice", "No part of the organ has a label of the scenario: another slice, or another label map.",
+    "W314": Fault(0, "label not in the slice", "No part of the organ has a label of the scenario, or a resection's label is nowhere in the map: another slice, another label map, or a wrong number.",
                   "Check the label's number, and that the map covers the slice."),
     "W315": Fault(0, "session condensed anew", "The cut left the corridor of the session, which took as long as making it.",
                   "Give a corridor, or a `reach_mm`, that holds all cuts."),

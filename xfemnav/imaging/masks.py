@@ -29,8 +29,10 @@ def mask_of(image, values: np.ndarray) -> np.ndarray:
         return mask
     mask = values != 0
     if (found := np.unique(values[mask])).size > 1:
+        half = (values >= (image.values.min() + image.values.max()) / 2).sum()
         warn("W209", f"{image.name} is no mask of two values, but holds {found.size} beside 0: all that is not 0 is "
-                     f"taken, {mask.sum()} pixels.")
+                     f"taken, {mask.sum()} pixels. If it is a soft mask in whole numbers, threshold it: {half} pixels "
+                     "are half of its range or more.")
     return mask
 
 
@@ -86,6 +88,9 @@ def one_piece(mask: np.ndarray) -> np.ndarray:
     whole = filled(largest_component(mask))
     if not whole.any():
         raise XfemnavError("E201", f"the mask is empty: none of {mask.size} pixels is organ. Give a --mask FILE.")
+    if whole.all() and not mask.all():
+        raise XfemnavError("E203", f"the mask marks what surrounds the organ, {mask.mean():.0%} of the slice up to its "
+                                   "edge: it looks inverted, or its background is not 0. Give the organ's pixels.")
     if whole.all():
         raise XfemnavError("E203", f"the mask covers the whole slice of {mask.shape[0]} x {mask.shape[1]} pixels, so "
                                    "the organ has no outline. Give a mask with background around it.")

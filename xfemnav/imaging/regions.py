@@ -35,7 +35,8 @@ class Marked:
 def marked(image: Image, frame: Slice, labels: tuple[int, ...] | None = None) -> Marked:
     """What has one of some labels, or what a mask marks, in the slice `frame`, whatever grid the image is on.
 
-    Raises E131 for an image that is no label map, and E311 when none of the labels is on the slice; warns W209.
+    Raises E131 for an image that is no label map, and E311 when none of the labels is on the slice; warns W209, and
+    W314 of labels that the whole map does not hold.
     """
     values, pixel = values_on(image, frame, resample="nearest"), float(frame.spacing.prod())
     if labels is None:
@@ -44,10 +45,14 @@ def marked(image: Image, frame: Slice, labels: tuple[int, ...] | None = None) ->
     refuse_fractions(image)
     values, name = np.rint(values).astype(int), f"{_counted(labels)} of {image.name}"
     mask = np.isin(values, labels)
+    held = ", ".join(str(value) for value in np.unique(values)[:20] if value) or "none"
     if not mask.any():
-        held = ", ".join(str(value) for value in np.unique(values)[:20] if value) or "none"
         raise XfemnavError("E311", f"{name} {'is' if len(labels) < 2 else 'are'} nowhere on this slice, which holds "
                                    f"the labels {held}. Check the number, and that the map covers the slice.")
+    absent = tuple(label for label in labels if not (abs(image.values - label) < 0.5).any())
+    if absent:
+        warn("W314", f"nothing is taken out for {_counted(absent)}, nowhere in {image.name}, which holds the labels "
+                     f"{held} on this slice. Check the numbers.")
     return Marked(mask, np.where(mask, values, 0), pixel, name)
 
 
@@ -96,8 +101,11 @@ def warn_of_left(found: Marked, frame: Slice, region, organ, least_mm2: float) -
         kinds, n_bits = np.unique(found.labels[apart]), len(np.unique(bits[apart]))
         shares = ", ".join(f"{(found.labels[apart] == kind).sum() * pixel:.3g} mm2 of label {kind}" for kind in kinds)
         what = f"{apart.sum() * pixel:.3g} mm2 of {found.name}" + (f" ({shares})" if len(kinds) > 1 else "")
-        warn("W208", f"{what} stay: {n_bits} separate bit{'s' * (n_bits > 1)} under {least_mm2:.3g} mm2, the disc of "
-                     "--min-resection-mm, or under two pixels wide.")
+        largest = np.bincount(bits[apart]).max() * pixel
+        why = f"under {least_mm2:.3g} mm2, the disc of --min-resection-mm"
+        if largest >= least_mm2:
+            why = f"of {largest:.3g} mm2 at most, under two pixels wide" + (f", or {why}" if n_bits > 1 else "")
+        warn("W208", f"{what} stay: {n_bits} separate bit{'s' * (n_bits > 1)} {why}.")
     if thin > LOST * mask.sum() * pixel:
         warn("W208", f"{thin:.3g} of {mask.sum() * pixel:.4g} mm2 of {found.name} that are taken out are under two "
                      "pixels wide, and stay.")

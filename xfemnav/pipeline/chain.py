@@ -147,7 +147,10 @@ class Chain:
         done = self.inputs.done
         read = {need: done[self.inputs.label(need)].entry.content(*VALUE) for need in stage.needs}
         read |= {f"after {k}": done[label].entry.content(*VALUE) for label, k in self._drawn_in(stage.name).items()}
-        read |= {role: facts["digest"] for role, facts in self.input_facts.items() if kind(role) in stage.files}
+        own = [role for role in self.input_facts if kind(role) in stage.files]
+        read |= {role: self.input_facts[role]["digest"] for role in own}
+        # What a stage warns of names its files; but for the image, of which it speaks by that word.
+        read |= {f"name of {role}": self.inputs.files[role].name for role in own if role != "image"}
         return stage_key(stage.name, stage.layers, stage.libraries, params, read)
 
     def _stage(self, stage: Stage, params, force: bool) -> Done:
