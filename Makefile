@@ -5,6 +5,7 @@ INSTALLED := .venv/installed
 BENCH ?= performance lips accuracy sensitivity networks finite_strain
 FUZZ ?= nifti
 SECONDS ?= 60
+export HEADS
 
 .PHONY: help demo paper worked-case steps batch fuzz test test-all lint docs bench clean
 

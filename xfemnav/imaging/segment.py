@@ -15,7 +15,16 @@ from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging.masks import clean, dice, mask_of, one_piece
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import Slice, touching, values_on
-from xfemnav.limits import LEAST_OF_HEAD, MERIT, MOST_OF_HEAD, ORGAN_MM2, VOTERS_AGREE, VOTERS_NEAR
+from xfemnav.limits import (
+    HIGH_MERIT,
+    HIGH_MM2,
+    LEAST_OF_HEAD,
+    MERIT,
+    MOST_OF_HEAD,
+    ORGAN_MM2,
+    VOTERS_AGREE,
+    VOTERS_NEAR,
+)
 
 if TYPE_CHECKING:
     from xfemnav.imaging.vote import Ballot
@@ -77,24 +86,25 @@ def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = Non
         found, info, doubts = largest_otsu(work), {}, []
     else:
         found, ballots = vote(work, head)
-        info, doubts = _judged(ballots)
+        small = slice.plane == "axial" and found.sum() * work.pixel**2 < HIGH_MM2.value
+        info, doubts = _judged(ballots, (HIGH_MERIT if small else MERIT).value)
     share = info["share_of_head"] = float(found.sum() / max(head.sum(), 1))
     if not LEAST_OF_HEAD.value <= share <= MOST_OF_HEAD.value:
         doubts.append(f"it is {share:.0%} of the head (usual: {LEAST_OF_HEAD.value:.0%} to {MOST_OF_HEAD.value:.0%})")
     return _result(slice, one_piece(work.back(found)), "otsu" if method == "otsu" else "vote", info, *doubts)
 
 
-def _judged(ballots: "list[Ballot]") -> tuple[dict, list[str]]:
-    """What is told of the best ballot, and the reasons to doubt it."""
+def _judged(ballots: "list[Ballot]", least: float) -> tuple[dict, list[str]]:
+    """What is told of the best ballot, and the reasons to doubt it; `least`: merit of its outline."""
     if not ballots:
         return {}, []
     best, doubts = ballots[0], []
     second, first = sorted(best.agreement.values())[-2:]
     if first < VOTERS_AGREE.value or second < VOTERS_NEAR.value:
         doubts.append(f"its methods disagree (best Dice of two {first:.2f}, next {second:.2f})")
-    if best.looks.merit < MERIT.value:
-        doubts.append(f"its outline does not stand out as a brain's does (merit {best.looks.merit:.2f}, usual: above "
-                      f"{MERIT.value:g})")
+    if best.looks.merit < least:
+        doubts.append(f"its outline does not stand out as a brain's does (merit {best.looks.merit:.2f}, usual for its "
+                      f"size: above {least:g})")
     return {"agreement": best.agreement, "merit": best.looks.merit}, doubts
 
 

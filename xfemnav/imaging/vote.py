@@ -32,9 +32,14 @@ ENOUGH = 0.3  # of the brightness: more of a step at the outline is scalp agains
 
 
 def head_of(work: Working) -> np.ndarray:
-    """Everything that is not air (m1, m2), filled."""
-    bright = work.values > 0.4 * threshold_otsu(work.values)
-    return largest_component(sealed(opened(bright, 1 / work.pixel), 4 / work.pixel))
+    """Everything that is not air (m1, m2), filled.
+
+    Otsu's threshold of the logarithms, so that a tone curve does not move it: air and tissue differ by factors.
+    """
+    floor = np.percentile(work.values[work.values > 1e-6], 1)
+    logs = np.log(np.maximum(work.values, floor))
+    shown = logs > threshold_otsu(logs)
+    return largest_component(sealed(opened(shown, 1 / work.pixel), 4 / work.pixel))
 
 
 def largest_otsu(work: Working) -> np.ndarray:

@@ -1,0 +1,108 @@
+"""docs/segmentation.md, from the kept results."""
+
+from pathlib import Path
+
+from benchmarks.verification.page import number, table
+from xfemnav import limits
+
+PAGE = Path("docs/segmentation.md")
+RIGHT, GOOD = 0.90, 0.95  # Dice below which W206 should speak, and above which it should not
+
+TEXT = """# Segmentation
+
+Written by `python -m benchmarks.segmentation`. Without `--mask` the organ is found in the slice; the mask is an output
+(`mask`), the figure shows it, and it is yours to judge. **W206** says that it is doubtful, and why. A mask of your own
+(`--mask FILE`) always wins.
+
+## How
+
+1. **Is the skull off?** Stripping tools write one value outside the brain. A head may have constant air too, but its
+   rim shows scalp, skull and brain: bright, dark, bright. That is a property of the image, so of a volume it is asked
+   in five slices of the same plane through the middle of what it shows, where a skull is cut squarely: near the vertex
+   it is cut so aslant that no ring is seen. A lone slice is asked by itself: where its rim dips by more than
+   {dip:g} of the brightness in depth, or it shows more than {brain:.0f} mm², W206 says that a skull may be on.
+   `--skull on|stripped` overrules the test.
+2. **Stripped:** all that is not background, without its holes.
+3. **A head:** three methods (the largest component above Otsu's threshold; a watershed from the core and the scalp; a
+   search over thresholds and openings) vote, in four tones: powers of the brightness that bring the core of the head to
+   set levels, so that the contrast of the sequence and a tone curve matter little. Taken is the vote whose outline
+   looks most like a brain's: a solid, bright shape, in a dark ring, away from the air. Bright fluid around the brain
+   (T2) is taken off.
+4. **W206** where the two best methods agree by a Dice under {agree:g} or the next by under {near:g}, where the merit of
+   the outline is under {merit:g} ({high:g} in an axial slice with under {small:.0f} mm² of brain, which is near the
+   vertex), or where the brain is under {least:.0%} or over {most:.0%} of the head, or under {area:.0f} mm². The merit:
+   step in brightness at the outline up to .3, plus 4 solidity, minus 4 times the share of the rim within 8 mm of the
+   air, minus twice the brightness beyond.
+
+Scale and offset of the intensities do not matter, nor whether the background is the darkest value.
+
+## Measured
+
+Every slice in tones of gamma .5, 1 and 2, each as it is, with a bias of 30 % across it, turned by 10 and 20 degrees,
+cropped at one edge, and with all of these: 18 times. *Silent*: under Dice {right:.2f} without W206 (an error is as good
+as a doubt). *False alarms*: W206 at Dice {good:.2f} or more. *Whole head*: taken for stripped.
+
+{tables}
+{verdict}
+## What it is not
+
+It is made for the brain in a head, in T1, T2 and FLAIR-like slices of adults. In slices through the face, the skull
+base and the orbits the brain and other tissue touch, and W206 is likely; a mask by a program made for it (SynthStrip,
+HD-BET, deepbet, ROBEX), or by hand, is better there, and given with `--mask`. In CT the skull is bright, and W206
+speaks. Between pia and dura there is no single right outline: masks of different programs differ there by 2 to 4 mm in
+old brains, a Dice of .95 to .97 in the middle, and far less near the vertex.
+"""
+
+
+def write_page(results: dict) -> None:
+    """Write the page."""
+    titles = {"folder": "### Real heads", "synthetic": "### Synthetic heads up to the vertex, and a stripped brain"}
+    tables = "\n".join(f"{title}\n\n{_table(results[key])}" for key, title in titles.items() if key in results)
+    PAGE.write_text(TEXT.format(
+        dip=limits.RIM_DIP.value, brain=limits.BRAIN_MM2.value, agree=limits.VOTERS_AGREE.value,
+        near=limits.VOTERS_NEAR.value, merit=limits.MERIT.value, high=limits.HIGH_MERIT.value,
+        small=limits.HIGH_MM2.value, least=limits.LEAST_OF_HEAD.value,
+        most=limits.MOST_OF_HEAD.value, area=limits.ORGAN_MM2.value, right=RIGHT, good=GOOD, tables=tables,
+        verdict=_verdict([row for rows in results.values() for row in rows])))
+
+
+def _table(rows: list[dict]) -> str:
+    names = list(dict.fromkeys(row["head"] for row in rows))
+    head = ("slice", "mean Dice", "least", f"under {RIGHT:g}", "silent", f"{GOOD:g} or more", "false alarms",
+            "stripped", "least Dice with its own mask as it is")
+    return table(head, [_line(name, [row for row in rows if row["head"] == name]) for name in names])
+
+
+def _line(name: str, rows: list[dict]) -> list:
+    known = [row for row in rows if row["dice"] is not None]
+    values = [row["dice"] for row in known]
+    steady = [row["steady"] for row in rows if row["steady"] is not None]
+    shown = [number(sum(values) / len(values)), number(min(values))] if values else ["", ""]
+    counts = [len(_bad(known)), len(_silent(known)), len(_good(known)), len(_alarms(known))] if values else [""] * 4
+    doubted = sum(row["doubted"] for row in rows)
+    return [name if values else f"{name} (no mask; doubted {doubted} of {len(rows)} times)", *shown, *counts,
+            f"{sum(row['method'] == 'stripped' for row in rows)} of {len(rows)}", number(min(steady)) if steady else ""]
+
+
+def _verdict(rows: list[dict]) -> str:
+    known = [row for row in rows if row["dice"] is not None]
+    good = _good(known)
+    return (f"In all {len(rows)} segmentations, {len(known)} of them with a known brain: {len(_bad(known))} under Dice "
+            f"{RIGHT:g}, {len(_silent(known))} of these silent; {len(good)} of Dice {GOOD:g} or more, "
+            f"{len(_alarms(known))} of these doubted ({len(_alarms(known)) / max(len(good), 1):.1%}).\n")
+
+
+def _bad(rows):
+    return [row for row in rows if row["dice"] < RIGHT]
+
+
+def _silent(rows):
+    return [row for row in _bad(rows) if not row["doubted"]]
+
+
+def _good(rows):
+    return [row for row in rows if row["dice"] >= GOOD]
+
+
+def _alarms(rows):
+    return [row for row in _good(rows) if row["doubted"]]
