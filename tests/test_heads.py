@@ -83,6 +83,27 @@ def test_a_tone_curve_does_not_matter():
     assert min(dice(masks[1], masks[0]), dice(masks[1], masks[2])) > 0.98
 
 
+def test_heads_of_a_folder_find_their_masks(tmp_path):
+    """By subject and place; other files of the folder are let be."""
+    import nibabel as nib
+
+    from benchmarks.segmentation import distorted, of_folder
+
+    values, brain = Head(grid=COARSE).volume([0.0])
+    for name in ("ann_t1_head_ax", "ann_brainmask_ax", "bob_t2_cor", "bob_mask_ax", "ann_tmap_ax", "sub-1_T1w",
+                 "sub-1_desc-brain_mask"):
+        data = brain.astype(np.uint8) if "mask" in name else values
+        nib.save(nib.Nifti1Image(data, np.diag([1.5, 1.5, 1.0, 1.0])), tmp_path / f"{name}.nii.gz")
+    cases = {case.name: case for case in of_folder(tmp_path)}
+    assert {name: case.brain is not None for name, case in cases.items()} == {
+        "ann t1 head ax": True, "bob t2 cor": False, "sub-1 T1w": True}
+    case = distorted(cases["sub-1 T1w"], 2.0, crop=0.2)
+    assert case.slice.values.shape == case.brain.shape and case.brain.shape[0] < brain.shape[0]
+    assert case.brain[0].any(), "the crop goes through the brain"
+    turned = distorted(cases["sub-1 T1w"], 1.0, degrees=90.0).brain
+    assert dice(turned, brain[:, :, 0]) < 0.95 and turned.sum() == pytest.approx(brain.sum(), rel=0.01)
+
+
 # Whether the skull is off ---------------------------------------------------------------------------------------------
 
 def roofed(contrast="t1"):
@@ -144,7 +165,7 @@ def test_a_lone_slice_that_comes_close_is_doubted():
         ring = np.where((depth > 6) & (depth < 12), share, 1.0)
         assert bool(judge(replace(slice, values=slice.values * ring)).doubt) == doubted
     wide = replace(slice, spacing=slice.spacing * 1.2)
-    assert "a brain has" in judge(wide).doubt
+    assert judge(wide) == (True, "") and found_in(wide)[1], "larger than any brain"
 
 
 def test_a_head_in_ct_is_not_taken_for_stripped():

@@ -69,7 +69,7 @@ SHRED_WIDTH_HELD = Limit(3.0, "mm", "smallest width of tissue, two elements at l
 # Of what is left when half of that width is taken off all round.
 SHRED_AREA = Limit(0.02, "", "smallest share of the tissue that a blade may hold (W305)")
 
-BRAIN_MM2 = Limit(22_000.0, "mm²", "cross-section of a brain; more that is not background may be a head (W206)")
+BRAIN_MM2 = Limit(22_000.0, "mm²", "cross-section of a brain; more may be a head (W206)")
 RIM_DIP = Limit(0.09, "", "dip of brightness below the rim of a stripped slice, of the brightness in depth (W206)")
 # Limits of a brain found in a head, set on slices of heads whose brain is known (docs/segmentation.md).
 ORGAN_MM2 = Limit(2000.0, "mm²", "least area of the organ (W206)")

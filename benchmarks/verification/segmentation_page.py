@@ -10,17 +10,18 @@ RIGHT, GOOD = 0.90, 0.95  # Dice below which W206 should speak, and above which 
 
 TEXT = """# Segmentation
 
-Written by `python -m benchmarks.segmentation`. Without `--mask` the organ is found in the slice; the mask is an output
-(`mask`), the figure shows it, and it is yours to judge. **W206** says that it is doubtful, and why. A mask of your own
-(`--mask FILE`) always wins.
+Written by `python -m benchmarks.segmentation`; `make bench BENCH=segmentation HEADS=folder` measures heads and masks of
+your own (benchmarks/segmentation.py says how they are named). Without `--mask` the organ is found in the slice; the
+mask is an output (`mask`), the figure shows it, and it is yours to judge. **W206** says that it is doubtful, and why. A
+mask of your own (`--mask FILE`) always wins.
 
 ## How
 
 1. **Is the skull off?** Stripping tools write one value outside the brain. A head may have constant air too, but its
    rim shows scalp, skull and brain: bright, dark, bright. That is a property of the image, so of a volume it is asked
    in five slices of the same plane through the middle of what it shows, where a skull is cut squarely: near the vertex
-   it is cut so aslant that no ring is seen. A lone slice is asked by itself: where its rim dips by more than
-   {dip:g} of the brightness in depth, or it shows more than {brain:.0f} mm², W206 says that a skull may be on.
+   it is cut so aslant that no ring is seen. A lone slice is asked by itself, and where its rim dips by more than
+   {dip:g} of the brightness in depth W206 says that a skull may be on.
    `--skull on|stripped` overrules the test.
 2. **Stripped:** all that is not background, without its holes.
 3. **A head:** three methods (the largest component above Otsu's threshold; a watershed from the core and the scalp; a
@@ -30,9 +31,12 @@ Written by `python -m benchmarks.segmentation`. Without `--mask` the organ is fo
    (T2) is taken off.
 4. **W206** where the two best methods agree by a Dice under {agree:g} or the next by under {near:g}, where the merit of
    the outline is under {merit:g} ({high:g} in an axial slice with under {small:.0f} mm² of brain, which is near the
-   vertex), or where the brain is under {least:.0%} or over {most:.0%} of the head, or under {area:.0f} mm². The merit:
-   step in brightness at the outline up to .3, plus 4 solidity, minus 4 times the share of the rim within 8 mm of the
-   air, minus twice the brightness beyond.
+   vertex), or where the brain is under {least:.0%} or over {most:.0%} of the head, or under {area:.0f} or over
+   {brain:.0f} mm². The merit: step in brightness at the outline up to .3, plus 4 solidity, minus 4 times the share of
+   the rim within 8 mm of the air, minus twice the brightness beyond.
+
+Where the image ends inside the organ (**W212** says along how many mm) there is no skull: the outline is held there, no
+mouth opens it, and a cut that enters there is refused (E302).
 
 Scale and offset of the intensities do not matter, nor whether the background is the darkest value.
 
@@ -40,7 +44,7 @@ Scale and offset of the intensities do not matter, nor whether the background is
 
 Every slice in tones of gamma .5, 1 and 2, each as it is, with a bias of 30 % across it, turned by 10 and 20 degrees,
 cropped at one edge, and with all of these: 18 times. *Silent*: under Dice {right:.2f} without W206 (an error is as good
-as a doubt). *False alarms*: W206 at Dice {good:.2f} or more. *Whole head*: taken for stripped.
+as a doubt). *False alarms*: W206 at Dice {good:.2f} or more. *Stripped*: taken for it.
 
 {tables}
 {verdict}

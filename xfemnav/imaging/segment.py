@@ -16,6 +16,7 @@ from xfemnav.imaging.masks import clean, dice, mask_of, one_piece
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import Slice, touching, values_on
 from xfemnav.limits import (
+    BRAIN_MM2,
     HIGH_MERIT,
     HIGH_MM2,
     LEAST_OF_HEAD,
@@ -132,6 +133,8 @@ def _result(slice: Slice, mask: np.ndarray, method: str, info: dict, *doubts: st
     doubts = list(filter(None, doubts))
     if area < ORGAN_MM2.value and method != "mask":
         doubts.insert(0, f"its area is only {area:.0f} mm2")
+    if area > BRAIN_MM2.value and method != "mask":
+        doubts.insert(0, f"its area is {area:.0f} mm2, and a brain's is {BRAIN_MM2.value:g} at most")
     if doubts:
         warn("W206", f"the segmentation ({method}) is doubtful: {'; '.join(doubts)}. Look at it; give --mask FILE.")
     if length := touching(mask, slice.spacing):

@@ -45,8 +45,6 @@ def judge(slice: Slice, volume: Image | None = None) -> Verdict:
     dip, area = float(np.median(rings)), float(np.median(areas))
     if dip >= DIP or (middle and area > BRAIN_MM2.value):
         return Verdict(False)
-    if area > BRAIN_MM2.value:
-        return Verdict(True, f"{area:.0f} mm2 are not background, and a brain has {BRAIN_MM2.value:g} at most")
     if dip > RIM_DIP.value:
         return Verdict(True, f"below its rim it is darker by {dip:.2f} of its brightness, as if there were a skull "
                              f"(stripped slices: up to {RIM_DIP.value:g})")

@@ -42,6 +42,11 @@ def head_of(work: Working) -> np.ndarray:
     return largest_component(sealed(opened(shown, 1 / work.pixel), 4 / work.pixel))
 
 
+def from_air(head: np.ndarray) -> np.ndarray:
+    """Distance, pixels, of the pixels of a head (m1, m2) from the air: where the image ends inside it is none."""
+    return ndimage.distance_transform_edt(head) if not head.all() else np.full(head.shape, np.inf)
+
+
 def largest_otsu(work: Working) -> np.ndarray:
     """The largest component above Otsu's threshold, filled (m1, m2)."""
     return ndimage.binary_fill_holes(largest_component(work.values > threshold_otsu(work.values)))
@@ -50,7 +55,7 @@ def largest_otsu(work: Working) -> np.ndarray:
 def marker_watershed(work: Working, head: np.ndarray) -> np.ndarray:
     """The bright tissue on the core's side of the darkest ring between the head's core and its scalp (m1, m2)."""
     below = depth(head) * work.pixel
-    markers = np.where(below > CORE * below.max(), 1, np.where(below < SCALP_MM, 2, 0))
+    markers = np.where(below > CORE * below.max(), 1, np.where(from_air(head) * work.pixel < SCALP_MM, 2, 0))
     smooth = ndimage.gaussian_filter(work.values, 1.5 / work.pixel)
     inside = watershed(-smooth, markers) == 1
     return ndimage.binary_fill_holes(largest_component(inside & (work.values > 0.7 * threshold_otsu(work.values))))
@@ -122,14 +127,14 @@ class Looks:
         return min(self.step, ENOUGH) + 4 * self.solidity - 4 * self.near - 2 * self.beyond
 
 
-def looks_of(mask: np.ndarray, values: np.ndarray, below: np.ndarray, pixel: float) -> Looks:
-    """Looks of a mask (m1, m2), not empty, in a tone of `values`; `below` (m1, m2): depth in the head, mm."""
+def looks_of(mask: np.ndarray, values: np.ndarray, skin: np.ndarray, pixel: float) -> Looks:
+    """Looks of a mask (m1, m2), not empty, in a tone of `values`; `skin` (m1, m2): distance from the air, mm."""
     inner, outer = depth(mask) * pixel, ndimage.distance_transform_edt(~mask) * pixel
     rim, ring = mask & (inner <= 3), (outer > 1) & (outer <= 4)
     level = max(float(np.median(values[mask])), 1e-3)
     around = values[ring] if ring.any() else np.zeros(1)
     return Looks(float(np.median(values[rim]) - np.median(around)) / level, float(np.percentile(around, 75)) / level,
-                 float(regionprops(mask.astype(np.uint8))[0].solidity), float(np.mean(below[rim] < SCALP_MM + 3)))
+                 float(regionprops(mask.astype(np.uint8))[0].solidity), float(np.mean(skin[rim] < SCALP_MM + 3)))
 
 
 def vote(work: Working, head: np.ndarray) -> tuple[np.ndarray, list[Ballot]]:
@@ -140,13 +145,17 @@ def vote(work: Working, head: np.ndarray) -> tuple[np.ndarray, list[Ballot]]:
     below = depth(head) * work.pixel
     core = below > CORE * below.max()
     reference = work.toned(REFERENCE, core).values
-    found = [_ballot(work.toned(level, core), head, below, reference) for level in TONES]
+    skin = from_air(head) * work.pixel
+    found = [_ballot(work.toned(level, core), head, below, skin, reference) for level in TONES]
     ballots = sorted(filter(None, found), key=lambda ballot: -ballot.looks.merit)
     return ballots[0].mask if ballots else np.zeros(head.shape, bool), ballots
 
 
-def _ballot(work: Working, head: np.ndarray, below: np.ndarray, reference: np.ndarray) -> Ballot | None:
-    """The vote in the tone of `work`, compared in that of `reference` (m1, m2); None when nothing is found."""
+def _ballot(work: Working, head: np.ndarray, below: np.ndarray, skin: np.ndarray, reference: np.ndarray):
+    """The ballot in the tone of `work`, compared in that of `reference`; None when nothing is found.
+
+    `below`, `skin` (m1, m2): depth in the head, and distance from the air, mm.
+    """
     members = {"otsu": largest_otsu(work), "watershed": marker_watershed(work, head),
                "search": best_candidate(work, head)}
     majority = sum(member.astype(int) for member in members.values()) >= 2
@@ -155,7 +164,7 @@ def _ballot(work: Working, head: np.ndarray, below: np.ndarray, reference: np.nd
     if not core.any() or sorted(agreement.values())[1] < COMMON:
         return None
     mask = sealed(core, CLOSE_MM / work.pixel)
-    looks = looks_of(mask, reference, below, work.pixel)
+    looks = looks_of(mask, reference, skin, work.pixel)
     return Ballot(_peeled(mask, reference, below, work.pixel), agreement, looks)
 
 
