@@ -70,14 +70,15 @@ SHRED_WIDTH_HELD = Limit(3.0, "mm", "smallest width of tissue, two elements at l
 SHRED_AREA = Limit(0.02, "", "smallest share of the tissue that a blade may hold (W305)")
 
 BRAIN_MM2 = Limit(22_000.0, "mm²", "cross-section of a brain; more may be a head (W206)")
-RIM_DIP = Limit(0.09, "", "dip of brightness below the rim of a stripped slice, of the brightness in depth (W206)")
+RIM_DIP = Limit(0.1, "", "dip of brightness below the rim of a stripped slice, of the brightness in depth (W206)")
 # Limits of a brain found in a head, set on slices of heads whose brain is known (docs/segmentation.md).
-ORGAN_MM2 = Limit(2000.0, "mm²", "least area of the organ (W206)")
-LEAST_OF_HEAD = Limit(0.2, "", "least share of the head that is brain (W206)")
-MOST_OF_HEAD = Limit(0.78, "", "largest share of the head that is brain (W206)")
+ORGAN_MM2 = Limit(1500.0, "mm²", "least area of the organ (W206)")
+LEAST_OF_HEAD = Limit(0.12, "", "least share of the head that is brain (W206)")
+MOST_OF_HEAD = Limit(0.8, "", "largest share of the head that is brain (W206)")
 VOTERS_AGREE = Limit(0.9, "", "least Dice of the two of three methods that agree best (W206)")
 VOTERS_NEAR = Limit(0.62, "", "least Dice of the two that agree next best (W206)")
+VOTERS_SURE = Limit(0.97, "", "least Dice of two methods against which the third does not count (W206)")
 MERIT = Limit(2.6, "", "least merit of an outline as a brain's (W206)")
 # Near the vertex skull, dura and fluid are cut aslant, and look alike.
 HIGH_MM2 = Limit(9000.0, "mm²", "least area of a brain in axial slices that are not near the vertex (W206)")
-HIGH_MERIT = Limit(3.55, "", "least merit of an outline in a smaller axial slice (W206)")
+HIGH_MERIT = Limit(3.5, "", "least merit of an outline in a smaller axial slice (W206)")

@@ -29,11 +29,11 @@ mask of your own (`--mask FILE`) always wins.
    set levels, so that the contrast of the sequence and a tone curve matter little. Taken is the vote whose outline
    looks most like a brain's: a solid, bright shape, in a dark ring, away from the air. Bright fluid around the brain
    (T2) is taken off.
-4. **W206** where the two best methods agree by a Dice under {agree:g} or the next by under {near:g}, where the merit of
-   the outline is under {merit:g} ({high:g} in an axial slice with under {small:.0f} mm² of brain, which is near the
-   vertex), or where the brain is under {least:.0%} or over {most:.0%} of the head, or under {area:.0f} or over
-   {brain:.0f} mm². The merit: step in brightness at the outline up to .3, plus 4 solidity, minus 4 times the share of
-   the rim within 8 mm of the air, minus twice the brightness beyond.
+4. **W206** where the two best methods agree by a Dice under {agree:g} or the next by under {near:g} (but for
+   two that agree by {sure:g}), where the merit of the outline is under {merit:g} ({high:g} in an axial slice with under
+   {small:.0f} mm² of brain, which is near the vertex), or where the brain is under {least:.0%} or over {most:.0%} of
+   the head, or under {area:.0f} or over {brain:.0f} mm². The merit: step in brightness at the outline up to .3, plus 4
+   solidity, minus 4 times the share of the rim within 8 mm of the air, minus twice the brightness beyond.
 
 Where the image ends inside the organ (**W212** says along how many mm) there is no skull: the outline is held there, no
 mouth opens it, and a cut that enters there is refused (E302).
@@ -48,6 +48,9 @@ as a doubt). *False alarms*: W206 at Dice {good:.2f} or more. *Stripped*: taken 
 
 {tables}
 {verdict}
+The limits were set on these slices and on slices of two other whole heads, one of a single subject and one an average:
+on heads that nobody has seen expect some silent errors, and more doubts. Look at the mask.
+
 ## What it is not
 
 It is made for the brain in a head, in T1, T2 and FLAIR-like slices of adults. In slices through the face, the skull
@@ -64,8 +67,8 @@ def write_page(results: dict) -> None:
     tables = "\n".join(f"{title}\n\n{_table(results[key])}" for key, title in titles.items() if key in results)
     PAGE.write_text(TEXT.format(
         dip=limits.RIM_DIP.value, brain=limits.BRAIN_MM2.value, agree=limits.VOTERS_AGREE.value,
-        near=limits.VOTERS_NEAR.value, merit=limits.MERIT.value, high=limits.HIGH_MERIT.value,
-        small=limits.HIGH_MM2.value, least=limits.LEAST_OF_HEAD.value,
+        near=limits.VOTERS_NEAR.value, sure=limits.VOTERS_SURE.value, merit=limits.MERIT.value,
+        high=limits.HIGH_MERIT.value, small=limits.HIGH_MM2.value, least=limits.LEAST_OF_HEAD.value,
         most=limits.MOST_OF_HEAD.value, area=limits.ORGAN_MM2.value, right=RIGHT, good=GOOD, tables=tables,
         verdict=_verdict([row for rows in results.values() for row in rows])))
 

@@ -25,6 +25,7 @@ from xfemnav.limits import (
     ORGAN_MM2,
     VOTERS_AGREE,
     VOTERS_NEAR,
+    VOTERS_SURE,
 )
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def _judged(ballots: "list[Ballot]", least: float) -> tuple[dict, list[str]]:
         return {}, []
     best, doubts = ballots[0], []
     second, first = sorted(best.agreement.values())[-2:]
-    if first < VOTERS_AGREE.value or second < VOTERS_NEAR.value:
+    if first < VOTERS_AGREE.value or (first < VOTERS_SURE.value and second < VOTERS_NEAR.value):
         doubts.append(f"its methods disagree (best Dice of two {first:.2f}, next {second:.2f})")
     if best.looks.merit < least:
         doubts.append(f"its outline does not stand out as a brain's does (merit {best.looks.merit:.2f}, usual for its "

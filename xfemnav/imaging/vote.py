@@ -26,6 +26,7 @@ OPENINGS_MM = (1.0, 2.0, 4.0, 6.0)
 SCALP_MM = 5.0  # the outermost tissue of a head is never brain
 CORE = 0.45  # of the head's greatest depth: deeper is brain
 TONES, REFERENCE = (0.35, 0.5, 0.65, 0.8), 0.55  # levels of the core: in which they vote, in which votes are compared
+FLUID_MM = 12.0  # how thick the fluid around a brain may be where it is cut aslant; ventricles lie deeper
 FLUID, FLUID_RIM = 1.3, 0.35  # of the brain's median brightness, and of its rim: in T2 there is bright fluid
 COMMON = 0.1  # Dice: methods of which only two have more in common than this have found noise
 ENOUGH = 0.3  # of the brightness: more of a step at the outline is scalp against air
@@ -174,5 +175,5 @@ def _peeled(mask: np.ndarray, values: np.ndarray, below: np.ndarray, pixel: floa
     fluid = mask & (values > FLUID * np.median(values[mask]))
     if np.mean(fluid[mask & (inner <= 3)]) < FLUID_RIM:
         return mask
-    core = central(opened(mask & ~(fluid & (inner <= CLOSE_MM)), OPEN_MM / pixel), below)
+    core = central(opened(mask & ~(fluid & (inner <= FLUID_MM)), OPEN_MM / pixel), below)
     return sealed(core, CLOSE_MM / pixel) & mask if core.any() else mask
