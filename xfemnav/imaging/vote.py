@@ -27,7 +27,9 @@ SCALP_MM = 5.0  # the outermost tissue of a head is never brain
 CORE = 0.45  # of the head's greatest depth: deeper is brain
 TONES, REFERENCE = (0.35, 0.5, 0.65, 0.8), 0.55  # levels of the core: in which they vote, in which votes are compared
 FLUID_MM = 12.0  # how thick the fluid around a brain may be where it is cut aslant; ventricles lie deeper
-FLUID, FLUID_RIM = 1.3, 0.35  # of the brain's median brightness, and of its rim: in T2 there is bright fluid
+FLUID, FLUID_RIM = 1.3, 0.35  # of the brain's brightness in depth, and of its rim: in T2 there is bright fluid
+DEEP = 0.5  # of the greatest depth
+BETWEEN = 0.6  # of the way from the brightness in depth to the fluid's, half-way from cortex (which is between) to fluid
 COMMON = 0.1  # Dice: methods of which only two have more in common than this have found noise
 ENOUGH = 0.3  # of the brightness: more of a step at the outline is scalp against air
 
@@ -170,10 +172,14 @@ def _ballot(work: Working, head: np.ndarray, below: np.ndarray, skin: np.ndarray
 
 
 def _peeled(mask: np.ndarray, values: np.ndarray, below: np.ndarray, pixel: float) -> np.ndarray:
-    """A mask (m1, m2) without the fluid around the brain where that is bright (T2), in the reference tone."""
+    """A mask (m1, m2) without the fluid around the brain where that is bright (T2), in the reference tone.
+
+    Near the vertex most of the mask may be fluid: what is brain is told by its depth.
+    """
     inner = depth(mask) * pixel
-    fluid = mask & (values > FLUID * np.median(values[mask]))
-    if np.mean(fluid[mask & (inner <= 3)]) < FLUID_RIM:
+    level, rim = np.median(values[inner > DEEP * inner.max()]), values[mask & (inner <= 3)]
+    if np.mean(rim > FLUID * level) < FLUID_RIM:
         return mask
+    fluid = values > level + BETWEEN * (np.percentile(rim, 75) - level)
     core = central(opened(mask & ~(fluid & (inner <= FLUID_MM)), OPEN_MM / pixel), below)
     return sealed(core, CLOSE_MM / pixel) & mask if core.any() else mask
