@@ -29,7 +29,7 @@ TONES, REFERENCE = (0.35, 0.5, 0.65, 0.8), 0.55  # levels of the core: in which 
 FLUID_MM = 12.0  # how thick the fluid around a brain may be where it is cut aslant; ventricles lie deeper
 FLUID, FLUID_RIM = 1.3, 0.35  # of the brain's brightness in depth, and of its rim: in T2 there is bright fluid
 DEEP = 0.5  # of the greatest depth
-BETWEEN = 0.6  # of the way from the brightness in depth to the fluid's, half-way from cortex (which is between) to fluid
+BETWEEN = 0.6  # of the way from the brightness in depth to the fluid's: cortex is half-way
 COMMON = 0.1  # Dice: methods of which only two have more in common than this have found noise
 ENOUGH = 0.3  # of the brightness: more of a step at the outline is scalp against air
 
