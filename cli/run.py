@@ -23,6 +23,8 @@ NIFTI_FRAME = click.option("--nifti-frame", type=_choice("auto", "sform", "qform
                            help="Which frame of a NIfTI header with two is taken.  [auto: the sform]")
 INPUT = (
     click.option("--scenario", type=FILE, help="TOML file with the same settings; flags win over it."),
+    click.option("--allow-outside", is_flag=True, default=None,
+                 help="Paths of the scenario may lead out of its folder."),
     click.option("--slice", type=int, metavar="K", help="Voxel index of the slice in a volume."),
     click.option("--slice-mm", type=float, metavar="S", help="Position of the slice along its normal, mm."),
     click.option("--plane", type=_choice("axial", "coronal", "sagittal"), help="Plane of the slice."),

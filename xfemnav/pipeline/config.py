@@ -45,11 +45,15 @@ NO_CUT = "cut: nothing moves: give a cut (--cut 'x,y x,y ...'), a resection, gra
 class Config:
     """A checked run: its input files by role, the parameters of reading and of each stage, and the scenario.
 
-    `constrain` is the problem of the last step. `also_read` are files whose content the parameters hold: the scenario,
+    `parameters` is the scenario with all that was left out filled in, `settings` the same without what would read
+    otherwise when it is given (blades), and `named` are all files that it names, by place. `constrain` is the problem
+    of the last step. `also_read` are files whose content the parameters hold: the scenario,
     the measured boundary, drawn cuts.
     """
 
     parameters: dict
+    settings: dict
+    named: dict[str, Path]
     files: dict[str, Path]
     also_read: tuple[Path, ...]
     max_memory_gb: float
@@ -85,13 +89,13 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     """
     from xfemnav.pipeline.scenario import read_toml, validated
 
-    raw, files = {"xfemnav": 1}, {}
+    raw, files, flags = {"xfemnav": 1}, {}, dict(flags or {})
     if scenario is not None:
         raw = read_toml(Path(scenario))
-        files = confined(raw, Path(scenario).parent)
-    found, given = add_flags(raw, dict(flags or {}))
+        files = confined(raw, Path(scenario).parent, flags.get("allow_outside"))
+    found, given = add_flags(raw, flags)
     if image is not None:
-        given["image"], raw["image"] = Path(image), printed(image)
+        given["image"], raw["image"] = _with_a_name(Path(image)), printed(image)
     files = {place: path for place, path in (files | given).items() if place in path_places(raw)}
     if "image" not in files:
         found.append("image: no image was given")
@@ -101,10 +105,16 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     return _resolved(checked, files, (Path(scenario),) if scenario is not None else ())
 
 
+def _with_a_name(path: Path) -> Path:
+    """The path of a file or folder by its own name, of which outputs are called: '.' and '..' have none."""
+    return path if path.name not in ("", "..") else Path(os.path.realpath(path))
+
+
 def _moves(raw: dict) -> bool:
     """Whether anything in a raw scenario can move tissue."""
     load, boundary = (raw.get(name) if isinstance(raw.get(name), dict) else {} for name in ("load", "boundary"))
-    return bool(raw.get("cut") or raw.get("resect") or load or boundary.get("displacement"))
+    return bool(raw.get("cut") or raw.get("resect") or load.get("gravity") or load.get("pressure")
+                or boundary.get("displacement"))
 
 
 def scenario_problems(path: Path) -> list[str]:
@@ -126,7 +136,7 @@ def scenario_problems(path: Path) -> list[str]:
 def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]) -> Config:
     tips = s.solve.tip_enrichment or ("topological" if s.solve.model == "linear" else "none")
     s = s.model_copy(update={"solve": s.solve.model_copy(update={"tip_enrichment": tips})})
-    given = tuple(r.blade is not None for r in s.retract)
+    settings, given = s.model_dump(mode="json", exclude={"xfemnav"}), tuple(r.blade is not None for r in s.retract)
     s = s.model_copy(update={"retract": tuple(_filled(r, s) for r in s.retract)})
     drawn = Drawn.read(s, files)
     carried = tuple(_carried(s, files))
@@ -135,7 +145,8 @@ def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]
     roles |= {item.role: path for item, path in carried}
     held = [path for place, path in files.items() if place == "boundary.displacement" or place.endswith(".markups")]
     return Config(
-        parameters=s.model_dump(mode="json", exclude={"xfemnav"}), files=roles, also_read=(*also_read, *held),
+        parameters=s.model_dump(mode="json", exclude={"xfemnav"}), settings=settings, named=files, files=roles,
+        also_read=(*also_read, *held),
         max_memory_gb=s.max_memory_gb, strict=s.strict,
         read=ReadParams(s.volume, s.nan, s.spacing, s.nifti_frame),
         segment=SegmentParams(s.slice.plane, s.slice.index, s.slice.position_mm, s.segment.method, s.segment.skull,

@@ -22,6 +22,7 @@ FLAGS: dict[str, str] = {
     "min_resection_mm": "min_resection_mm",
     "max_memory": "max_memory_gb",
     "strict": "strict",
+    "allow_outside": "allow_outside",
     "slice": "slice.index",
     "slice_mm": "slice.position_mm",
     "plane": "slice.plane",
@@ -64,7 +65,7 @@ PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.fil
          "streamlines.*", "surfaces.*")
 BACKSLASH = ("In double quotes a backslash begins an escape: write a path of Windows in single quotes, 'C:\\Users', or "
              "with /.")
-CONTROL = re.compile(r"[\x01-\x1f\x7f]")
+CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 MARKUPS = (".json", ".fcsv", ".csv", ".tsv", ".tag")
 KINDS = ("continuous", "label", "vector", "axis", "tensor")
 OF_COMPANIONS = {"axes": "axes", "tensor_order": "order"}  # flag: key of every companion that is given by a flag
@@ -111,22 +112,26 @@ def _walk(value, pattern, place, places) -> None:
         _walk(value.get(pattern[0]), pattern[1:], (*place, pattern[0]), places)
 
 
-def confined(raw: dict, folder: Path) -> dict[str, Path]:
+def confined(raw: dict, folder: Path, allow_outside: bool | None = None) -> dict[str, Path]:
     """The files that a raw scenario in `folder` names, by place. Raises E781 when one lies outside the folder, and
     E780 for one with control characters, as a path of Windows in double quotes has them.
 
-    Symbolic links are followed before they are judged.
+    Symbolic links are followed before they are judged. `allow_outside`, or else the scenario's own key, lets files lie
+    where they will.
     """
     folder, files, outside = folder.resolve(), {}, []
+    anywhere = (raw.get("allow_outside") if allow_outside is None else allow_outside) is True
     for place, value in path_places(raw).items():
         if CONTROL.search(value) and not os.path.lexists(folder / value):
             raise XfemnavError("E780", f"{place} names {value!a}, with a tab or another control character. {BACKSLASH}")
-        if "\0" in value or Path(value).is_absolute() or not (folder / value).resolve().is_relative_to(folder):
+        inside = not Path(value).is_absolute() and (folder / value).resolve().is_relative_to(folder)
+        if not (inside or anywhere):
             outside.append(f"{place}: {value!r}")
         files[place] = folder / value
     if outside:
         raise XfemnavError("E781", f"paths in a scenario stay in its folder {folder}; {'; '.join(outside)}. "
-                                   "Move the file, or name it on the command line.")
+                                   "Move the file, name it on the command line, or allow it: allow_outside = true in "
+                                   "the scenario, or --allow-outside.")
     return files
 
 

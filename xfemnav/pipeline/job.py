@@ -20,6 +20,7 @@ from xfemnav.pipeline.disk import writing
 from xfemnav.pipeline.inputs import STEPWISE, Done, Warned
 from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
+from xfemnav.pipeline.scenario_file import placed, scenario_text
 from xfemnav.pipeline.stage_safe import told
 from xfemnav.pipeline.verdicts import doubts, reasons, stillness, verdicts
 
@@ -93,7 +94,8 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
         chain.warned += warned
         if passing:
             chain.warned.append(Warned("W602", passing))
-        record = {"schema": SCHEMA, "version": __version__, "argv": list(options.argv), "parameters": config.parameters}
+        record = {"schema": SCHEMA, "version": __version__, "argv": list(options.argv),
+                  "parameters": placed(config.parameters, config.named, output)}
         try:
             return _run(chain, options, folder, record)
         except BaseException as error:
@@ -127,11 +129,12 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
     if options.report and options.until == "warp":
         for k, item in enumerate(chain.draw()):
             _collect(files, chain.config, chain.inputs.label("warp", k).replace("warp", "figure"), item)
-        record["outputs"] = folder.names(files | {"report": (Path("report.html"), "")})
+        record["outputs"] = folder.names([*files, "report", "scenario"], files)
         figures = {role: path for role, (path, _) in files.items() if role.partition(":")[0] == "figure"}
         files["report"] = _page(chain, record, figures)
     checkpoint()
-    record["outputs"] = folder.publish(files, record, _sidecars(chain))
+    texts = {"scenario": scenario_text(chain.config.settings, chain.config.named, folder.path)}
+    record["outputs"] = folder.publish(files, texts, record, _sidecars(chain))
     folder.write_record(record)
     return record
 

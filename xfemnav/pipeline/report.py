@@ -2,18 +2,21 @@
 
 The page is for the reader who must decide whether to believe the result and then has to describe it: a verdict, the
 figure, the checks, warnings with what to do about them, the retractors' forces, and a methods paragraph to paste. It
-holds nothing that differs between two runs of the same command (no dates, no seconds), so equal runs give equal pages.
+holds nothing that differs between two runs of the same settings (no dates, no seconds, no folders, and not the command:
+all these are in run.json), so equal runs give equal pages.
 """
 
 import base64
-import shlex
+import copy
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from xfemnav.errors import FAULTS
 from xfemnav.pipeline.disk import write_atomic
+from xfemnav.pipeline.flags import path_places
 from xfemnav.pipeline.methods import CITATIONS, methods_paragraph
+from xfemnav.pipeline.scenario_file import AGAIN, put
 from xfemnav.pipeline.verdicts import MMHG_PER_KPA
 
 VERDICTS = {
@@ -70,19 +73,27 @@ def render(run: dict, figures: dict[str, bytes]) -> str:
         pieces=run["pieces"],
         contacts=run["contact"],
         points=run.get("points", ()),
-        command=shlex.join(run["argv"]),
+        again=AGAIN,
         stages=run["stages"],
         checks=[check_row(name, run) for name in CHECKS if run["checks"].get(name) is not None],
         warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
         retractors=[retractor_row(each) for each in run["retractor"]],
         tips=[tip_row(each) for each in run["tips"]],
-        parameters=list(flat(run["parameters"])),
+        parameters=list(flat(settings(run["parameters"]))),
         input=list(flat(run["input"])),
         outputs=run["outputs"],
         methods=methods_paragraph(run),
         citations=CITATIONS,
         version=run["version"],
     )
+
+
+def settings(parameters: dict) -> dict:
+    """The parameters of a run without the folders that its files lie in."""
+    found = copy.deepcopy(parameters)
+    for place, path in path_places(found).items():
+        put(found, place, Path(path).name)
+    return {name: value for name, value in found.items() if name != "allow_outside"}
 
 
 def _embedded(png: bytes | None) -> str | None:

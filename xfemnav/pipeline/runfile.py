@@ -47,7 +47,7 @@ NAMES = {
     "surfaces": ("updated", "surfaces", ""),
 }
 WITH_SIDECAR = (".nii.gz", ".nrrd", ".h5")
-PAGES = {"figure": ("figure", ".png"), "report": ("report", ".html")}
+PAGES = {"figure": ("figure", ".png"), "report": ("report", ".html"), "scenario": ("scenario", ".toml")}
 #: Roles whose files are named after a carried file, not after the image.
 CARRIED = ("companion", "points", "streamlines", "surfaces")
 #: Those of them whose own suffix says what they are of (pial, white), and is kept where they have one.
@@ -141,23 +141,25 @@ class OutputFolder:
         self.earlier = _claimed(record)
         self.whole = record.get("status") in ("complete", "untrusted")  # an earlier result that nothing has touched
 
-    def names(self, files: dict[str, tuple[Path, str]]) -> dict[str, str]:
-        """Public name of each role, from the files in the cache."""
-        return {role: public_name(self.image, role, "".join(path.suffixes)) for role, (path, _) in files.items()}
+    def names(self, roles, files: dict[str, tuple[Path, str]]) -> dict[str, str]:
+        """Public name of each role; some keep the ending of their file in the cache."""
+        endings = {role: "".join(path.suffixes) for role, (path, _) in files.items()}
+        return {role: public_name(self.image, role, endings.get(role, "")) for role in roles}
 
-    def publish(self, files: dict[str, tuple[Path, str]], record: dict, words: dict[str, dict]) -> dict[str, str]:
-        """Put `files` (role -> path in the cache, sha256) in place; their public names by role. `words` (by role) is
-        what the sidecars of this run say more."""
-        names = self.names(files)
+    def publish(self, files: dict[str, tuple[Path, str]], texts: dict[str, str], record: dict,
+                words: dict[str, dict]) -> dict[str, str]:
+        """Put `files` (role -> path in the cache, sha256) and `texts` (by role) in place; their public names by role.
+        `words` (by role) is what the sidecars of this run say more."""
+        names = self.names([*files, *texts], files)
         changed = {names[role]: source.read_bytes() for role, (source, sha256) in files.items()
                    if not self._holds(names[role], sha256)}
+        written = {names[role]: text.encode() for role, text in texts.items()}
         maker = {"Sources": [self.image.name], "GeneratedBy": [{"Name": "xfemnav", "Version": record["version"]}]}
         described = {role: DESCRIBED[role.partition(":")[0]] for role in files if role.partition(":")[0] in DESCRIBED}
         for role, content in described.items():
-            sidecar = json_text(content | words.get(role, {}) | maker).encode()
-            name = sidecar_name(names[role])
-            if not self._holds(name, hashlib.sha256(sidecar).hexdigest()):
-                changed[name] = sidecar
+            written[sidecar_name(names[role])] = json_text(content | words.get(role, {}) | maker).encode()
+        changed |= {name: content for name, content in written.items()
+                    if not self._holds(name, hashlib.sha256(content).hexdigest())}
         keep = {*names.values()} | {sidecar_name(names[role]) for role in described}
         under_way = record | {"status": "interrupted", "exit_code": 130, "outputs": {}}
 

@@ -311,7 +311,8 @@ class WarpSection(Section):
 
 
 class Scenario(Section):
-    """Everything that a run can be asked for. Paths are relative to the file and stay in its folder."""
+    """Everything that a run can be asked for. Paths are relative to the file and, unless `allow_outside`, stay in its
+    folder."""
 
     xfemnav: Literal[1] = Field(description="version of this format")
     image: Path_ | None = Field(None, description="NIfTI; may be given on the command line instead")
@@ -330,6 +331,7 @@ class Scenario(Section):
         4.0, description="of labels and masks that are taken out: bits smaller than a disc this wide stay, holes go")
     max_memory_gb: Positive = Field(4.0, description="largest image to read, GB")
     strict: bool = Field(False, description="warnings are errors")
+    allow_outside: bool = Field(False, description="paths may lead out of the scenario's folder")
     points: Paths_ = Field((), description="files of landmarks to move: .mrk.json, .fcsv, .csv, .tsv, .tag")
     streamlines: Paths_ = Field((), description="tractograms to move: .trk, .trk.gz, .tck")
     surfaces: Paths_ = Field((), description="surfaces to move: .stl, .vtk, .vtp, .gii, .obj, .ply")

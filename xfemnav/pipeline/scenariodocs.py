@@ -13,7 +13,9 @@ Written by `make docs` from `xfemnav/pipeline/scenario.py`, which checks scenari
 
 A scenario is a TOML file with the settings of one run: `xfemnav run --scenario FILE`. Flags win over it.
 `xfemnav check FILE` lists all its problems at once; `xfemnav schema` prints its JSON Schema. Unknown keys are refused.
-Paths are relative to the file and stay in its folder. Lengths are mm, stiffnesses kPa, forces mN per mm of thickness.
+Paths are relative to the file and stay in its folder, so that a scenario from elsewhere reads no file of yours (E781);
+`allow_outside` lifts that. Lengths are mm, stiffnesses kPa, forces mN per mm of thickness.
+Every run writes its scenario, defaults filled in, as `scenario.toml` among its [outputs](outputs.md).
 An example is in [worked-case.md](worked-case.md).
 
 On the command line, `--cut`, `--markup`, `--left`, `--right`, `--lip-force`, `--opening-mm`, `--blade` and `--internal`

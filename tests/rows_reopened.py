@@ -1,0 +1,55 @@
+"""Rows of runs that are made again or opened again, elsewhere and later."""
+
+import warnings
+
+from rows import Row
+from small import CUT, write
+
+import xfemnav
+
+COARSE = {"element_size_mm": 8, "corridor_element_mm": 4, "report": False}
+
+
+def run(folder, **flags):
+    """The result of a run on the small brain, whose warnings are in its record."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", xfemnav.XfemnavWarning)
+        return xfemnav.run(cache=folder / "cache", **flags)
+
+
+def made_again(folder):
+    """A run from its own scenario."""
+    image = write(folder / "head.nii.gz")
+    first = run(folder, image=image, cut=CUT, left="2,1", output=folder / "out", **COARSE)
+    again = run(folder, scenario=first.folder / first.record["outputs"]["scenario"], output=folder / "again",
+                report=False)
+    names = sorted(path.name for path in first.folder.iterdir())
+    same = [name for name in names if (first.folder / name).read_bytes() == (again.folder / name).read_bytes()]
+    assert sorted([*same, "run.json"]) == names
+    return f"{len(same)} of {len(names)} files have the same bytes; run.json has other seconds and another command", ""
+
+
+def allowed(folder):
+    """A scenario whose image lies beside its folder."""
+    write(folder / "head.nii.gz")
+    (folder / "case").mkdir()
+    case = folder / "case" / "case.toml"
+    text = f'xfemnav = 1\nimage = "../head.nii.gz"\n[[cut]]\npoints = {[[-60, 10], [-15, 5]]}\n'
+    case.write_text(text)
+    given = {"scenario": case, "output": folder / "out", "opening_mm": 4.0}
+    try:
+        run(folder, **given, **COARSE)
+    except xfemnav.XfemnavError as error:
+        assert error.code == "E781" and "--allow-outside" in error.message and "allow_outside = true" in error.message
+    else:
+        raise AssertionError("read in silence")
+    assert run(folder, **given, **COARSE, allow_outside=True).trusted
+    case.write_text(text.replace("[[cut]]", "allow_outside = true\n[[cut]]"))
+    assert run(folder, **given, **COARSE).trusted
+    return "refused, with the flag and the key that allow it; then it runs", "E781"
+
+
+ROWS = [
+    Row("D7", "a run, made again from what it left", "its settings stood in run.json alone", made_again),
+    Row("D7", "a scenario that leads out of its folder", "no way to allow it", allowed),
+]

@@ -1,0 +1,83 @@
+"""The settings of a run as a scenario file: TOML that is read back as the same settings, wherever it is read.
+
+TOML is written here and not by a library: tables, arrays of tables, numbers, words and lists are all that a scenario
+has, and the standard library reads TOML but does not write it.
+"""
+
+import copy
+import json
+import os
+from pathlib import Path
+
+from xfemnav.pipeline.flags import path_places, printed
+from xfemnav.pipeline.runfile import PAGES
+
+NAME = "".join(PAGES["scenario"])
+AGAIN = f"xfemnav run --scenario {NAME} -o OTHER"
+HEAD = f"# The settings of this run, defaults filled in. The same again: {AGAIN}\n"
+UNSAYABLE = "# TOML holds UTF-8 alone, and the name of this file is none, so give it again: {place} = {name}\n"
+
+
+def seen_from(folder: Path, path: Path) -> str:
+    """The path of a file from a folder, with /; its whole path where none leads there (another drive).
+
+    Links to folders are followed, since '..' is where a link leads; the file keeps its own name, of which outputs are
+    called.
+    """
+    whole = os.path.join(os.path.realpath(path.parent), path.name)
+    try:
+        found = os.path.relpath(whole, os.path.realpath(folder))
+    except ValueError:
+        found = whole
+    return found.replace(os.sep, "/")
+
+
+def placed(settings: dict, files: dict[str, Path], folder: Path) -> dict:
+    """The settings of a scenario that stands in `folder`: its `files` (by place) relative to that, and free to lie
+    outside where one does."""
+    found = copy.deepcopy(settings)
+    for place, path in files.items():
+        put(found, place, printed(seen_from(folder, path)))
+    outside = any(name.startswith("../") or os.path.isabs(name) for name in path_places(found).values())
+    return found | {"allow_outside": found["allow_outside"] or outside}
+
+
+def put(raw: dict, place: str, value) -> None:
+    """Set what stands at a place such as 'cut.0.markups'."""
+    *way, last = (int(part) if part.isdecimal() else part for part in place.split("."))
+    for part in way:
+        raw = raw[part]
+    raw[last] = value
+
+
+def scenario_text(settings: dict, files: dict[str, Path], folder: Path) -> str:
+    """The scenario as it stands in `folder`."""
+    names = {place: seen_from(folder, path) for place, path in files.items()}
+    words = [UNSAYABLE.format(place=place, name=name) for place, name in ((p, printed(n)) for p, n in names.items())
+             if name != names[place]]
+    return "".join([HEAD, *words, "\n", toml({"xfemnav": 1} | placed(settings, files, folder))])
+
+
+def toml(table: dict, name: str = "", heading: str = "[{}]") -> str:
+    """TOML of a table: its plain keys, then its tables and arrays of tables; keys that are None are left out."""
+    given = {key: value for key, value in table.items() if value is not None}
+    inner = {key: value for key, value in given.items() if _holds_tables(value)}
+    lines = [f"{key} = {_plain(value)}\n" for key, value in given.items() if key not in inner]
+    text = "".join(([f"\n{heading.format(name)}\n"] if name and (lines or heading == "[[{}]]") else []) + lines)
+    for key, value in inner.items():
+        within = f"{name}.{key}" if name else key
+        text += "".join([toml(value, within)] if isinstance(value, dict) else
+                        [toml(item, within, "[[{}]]") for item in value])
+    return text
+
+
+def _holds_tables(value) -> bool:
+    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+
+
+def _plain(value) -> str:
+    """A number, word or list of them."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_plain, value))}]"
+    # JSON's numbers and words are TOML's, but for one character that TOML wants escaped.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
