@@ -44,7 +44,7 @@ test-all: $(INSTALLED)  ## all tests, long batteries too; the independent refere
 	$(BIN)/python -m pip install -q --disable-pip-version-check -e '.[bench]'
 	OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 HYPOTHESIS_PROFILE=default $(BIN)/python -m pytest -n 2
 
-fuzz: $(INSTALLED)  ## make fuzz FUZZ=nifti|markups|scenario SECONDS=600: readers under coverage-guided nonsense
+fuzz: $(INSTALLED)  ## make fuzz FUZZ=nifti|dicom|markups|scenario|surface|tracts|table|vtu|record SECONDS=600: coverage-guided nonsense
 	$(BIN)/python -m pip install -q --disable-pip-version-check atheris
 	$(BIN)/python tests/fuzz/fuzz.py $(FUZZ) $(SECONDS)
 

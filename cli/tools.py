@@ -154,6 +154,8 @@ def verify(root):
 @FOLDER
 @click.option("--days", type=click.FloatRange(0), default=30.0, show_default=True, help="Keep what was used in them.")
 def prune(root, days):
-    """Remove entries that were not used for some days, and all debris."""
-    count, size = _opened(root).prune(days * 86400)
-    say(f"{count} entries removed, {size / 1e6:.1f} MB freed")
+    """Remove entries that were not used for some days, and all debris; nothing that the cache has not made."""
+    done = _opened(root).prune(days * 86400)
+    for name, reason in done.kept.items():
+        complain(f"{name} is kept: {reason}")
+    say(f"{done.entries} entries removed, {done.freed / 1e6:.1f} MB freed, {len(done.kept)} kept")

@@ -101,8 +101,8 @@ def test_verify_sets_damaged_entries_aside_and_prune_empties(tmp_path):
     (cache.obtain(KEY, build)[0].folder / "value.npz").write_bytes(b"?")
     good = cache.obtain(digest("good"), build)[0]
     assert cache.set_aside_damaged() == [KEY] and cache.keys() == [good.key]
-    assert cache.prune(older_than_s=3600)[0] == 0 and cache.keys() == [good.key]
-    assert cache.prune(older_than_s=0)[0] == 1 and cache.keys() == []
+    assert cache.prune(older_than_s=3600).entries == 0 and cache.keys() == [good.key]
+    assert cache.prune(older_than_s=0).entries == 1 and cache.keys() == []
 
 
 def test_prune_waits_for_no_running_run(tmp_path, monkeypatch):
@@ -163,8 +163,8 @@ def test_prune_takes_what_the_cache_has_made_and_nothing_else(tmp_path):
     kept, made = tree(precious), {path for path in tree(root)}
     (root / "damaged" / f"{KEY}-1").mkdir()
     (root / "entries" / entry.parent.name / f".{KEY}.xfemnav-tmp").mkdir()
-    count, freed = Cache(root).prune(0)
-    assert count == 1 and freed > len(PAYLOAD) and not entry.exists() and tree(precious) == kept
+    count, freed, kept_in = Cache(root).prune(0)
+    assert count == 1 and freed > len(PAYLOAD) and not kept_in and not entry.exists() and tree(precious) == kept
     gone = made - set(tree(root))
     assert gone and all(digest("old") in name for name in gone)
 
@@ -234,8 +234,9 @@ def test_full_disk_leaves_nothing_behind(tmp_path):
 def write_forty(root):
     """What each of the two concurrent writers does: 40 entries of 8 files."""
     def build_parts(folder):
+        (folder / "public").mkdir()
         for i in range(8):
-            (folder / f"part-{i}").write_bytes(PAYLOAD * (i + 1))
+            (folder / "public" / f"carry-{i}.csv").write_bytes(PAYLOAD * (i + 1))
 
     cache = Cache(root)
     return [cache.obtain(digest(n), build_parts)[1] for n in range(40)]

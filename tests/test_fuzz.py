@@ -17,7 +17,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tests.fuzz.targets import AFFINE, CUT, TARGETS, fed, seeds, words
+from tests.fuzz.seeds import AFFINE, CUT
+from tests.fuzz.targets import TARGETS, fed, seeds, words
 
 HANG = timedelta(seconds=10)  # an example takes milliseconds; a busy machine may take a thousand times as long
 GROWTH = 2e5  # kB by which a test may raise the most memory that the process ever held; the files have a few kB
@@ -48,8 +49,15 @@ FIELDS = [name for name in nibabel.Nifti1Header.template_dtype.names if name != 
 CHANGES = st.lists(st.tuples(st.sampled_from(FIELDS), st.integers(0, 7), st.sampled_from(EXTREMES)), max_size=5)
 
 
+@pytest.fixture(scope="module")
+def loaded():
+    """All that readers are made of is in memory, libraries and kernels."""
+    for name in TARGETS:
+        fed(name, seeds(name)[0])
+
+
 @pytest.fixture(autouse=True)
-def memory():
+def memory(loaded):
     """What a file claims is not allocated."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     yield
@@ -156,6 +164,32 @@ def test_any_bytes_anywhere_in_a_surface(seed, places):
         at = 1 + int(part * (len(content) - 1))
         content = content[:at] + put + content[at + length:]
     fed("surface", content)
+
+
+def without(key: str) -> bytes:
+    """A record in which something is missing."""
+    return json.dumps({name: value for name, value in json.loads(seeds("record")[0]).items() if name != key}).encode()
+
+
+def mesh_of(corner: str) -> bytes:
+    """A mesh of one triangle with another last corner."""
+    return seeds("vtu")[0].replace(b"0 1 10<", f"{corner}<".encode())
+
+
+#: Inputs that were once answered by a traceback, or a warning of numpy's.
+FOUND = {
+    "a record without parameters": ("record", lambda: without("parameters")),
+    "a triangle of no size": ("vtu", lambda: mesh_of("0 1e-120 10").replace(b"10 1 0 10", b"10 1e-120 0 10")),
+    "a triangle out of reach": ("vtu", lambda: mesh_of("0 1e200 10")),
+    "a table with a cell without end": ("table", lambda: b"\5x,y,ux,uy\n" + b"1" * 140_000),
+    "a table with a line that ends oddly": ("table", lambda: b"\5x,y,ux,uy\n1,2,3\r4,5\n"),
+}
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_what_was_found_is_refused_with_a_code(name):
+    target, content = FOUND[name]
+    assert not fed(target, content())
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -220,7 +220,7 @@ def toy_package(folder):
     """A package called xfemnav with what keeps kernels, and no kernels yet."""
     toy = folder / "xfemnav"
     for name in ("__init__", "errors", *(f"pipeline/{part}" for part in ("__init__", "kernels", "keys", "layers",
-                                                                         "disk"))):
+                                                                         "disk", "removal"))):
         (toy / name).parent.mkdir(parents=True, exist_ok=True)
         (toy / f"{name}.py").write_bytes((keys.PACKAGE / f"{name}.py").read_bytes())
     (toy / "geometry").mkdir()
@@ -249,7 +249,7 @@ def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
     (toy / "geometry" / "helper.py").write_text("from xfemnav.geometry import (\n    reader,\n)\n" + kernel.format(
         "", "helper", "reader.VALUE"))
     assert toy / "geometry" / "reader.py" in kernels.made_of(toy), "a constant is frozen in a kernel"
-    old, forgotten = tmp_path / f"{kernels.NAME}old", tmp_path / f"{kernels.NAME}forgotten"
+    old, forgotten = (tmp_path / f"{kernels.NAME}{16 * letter}" for letter in "ab")
     for folder in (old, forgotten):
         folder.mkdir()
     os.utime(forgotten, (0, 0))

@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of what reads a user's files: python tests/fuzz/fuzz.py nifti|markups|scenario SECONDS [DIR]
+"""Coverage-guided fuzzing of what reads a user's files: python tests/fuzz/fuzz.py TARGET SECONDS [DIR]
 
 Needs atheris. Inputs that found something new are kept in DIR (default out/fuzz/TARGET), and the next run begins with
 them. The first uncaught exception, input that takes over 10 s, or memory over 1 GB ends the run with its input in

@@ -1,43 +1,34 @@
 """What a fuzzer may feed: bytes as a file, read as a run reads it. Only coded errors and right values may come out."""
 
 import gzip
-import io
 import json
 import os
+import shutil
 import tempfile
 import warnings
+from functools import cache
 from pathlib import Path
 
-import nibabel
 import numpy as np
-from pydicom.dataset import Dataset, FileMetaDataset
-from pydicom.uid import (
-    DeflatedExplicitVRLittleEndian,
-    ExplicitVRBigEndian,
-    ExplicitVRLittleEndian,
-    ImplicitVRLittleEndian,
-    MRImageStorage,
-    RLELossless,
-)
 
 from tests.fuzz import surface_seeds
+from tests.fuzz.seeds import CUT, KINDS, SEEDS, finished
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
-from xfemnav.imaging.point_files import read_control_points, read_points
+from xfemnav.imaging.point_files import read_control_points, read_points, write_points
 from xfemnav.imaging.points import FARTHEST
 from xfemnav.imaging.reading import content_digest, read_image
 from xfemnav.imaging.slices import PLANES, take_slice, to_nifti
 from xfemnav.imaging.surface_files import decoded_surface
 from xfemnav.imaging.tract_files import decoded_streamlines, tract_bytes
-from xfemnav.imaging.vtk_grid import grid
-from xfemnav.pipeline.config import configure, scenario_problems
+from xfemnav.pipeline.apply import apply
+from xfemnav.pipeline.config import configure, read_displacements, scenario_problems
+from xfemnav.pipeline.files import read_mesh, read_soup
+from xfemnav.pipeline.result import Result
+from xfemnav.pipeline.runfile import OutputFolder
 from xfemnav.pipeline.scenario import Scenario
 from xfemnav_cli.telling import printable
 
 READ = 8192  # bytes of an input at most; a message names every problem of a scenario, and so grows with it
-AFFINE = np.array([[-0.9, 0.1, 0, 40], [0.1, 0.9, 0, -50], [0, 0, 2.0, 7], [0, 0, 0, 1]])
-CUT = ('{"@schema": "x-v1.0.3.json#", "markups": [{"type": "Line", "name": "F", "coordinateSystem": "LPS", '
-       '"coordinateUnits": "mm", "controlPoints": [{"label": "a", "position": [60, -10, 7], "positionStatus": '
-       '"defined"}, {"position": [1.5e1, -5, 7.0]}, {"position": [5, 9, 7]}]}]}')
 WORDS = ("curveType", "spline", "linear", "Curve", "ClosedCurve", "Fiducial", "Line", "RAS", "LPS", "um", "mm", "UCUM",
          "undefined", "preview", "defined", "true", "null", "NaN", "Infinity", "-0", "1e999", "\\ud800")
 
@@ -101,18 +92,8 @@ def markups(data: bytes) -> bool:
 
 
 def surface(data: bytes) -> bool:
-    """Whether `data` are read as a surface, or a mesh or tractogram; their first byte says of which kind, and what is
-    read comes back as it was."""
-    name, content = KINDS[data[0] % len(KINDS)] if data else KINDS[0], data[1:]
-    if name.endswith(".vtu"):
-        return refused_or(grid, content, name, ("displacement",)) is not None
-    if name.endswith((".trk", ".tck", ".gz")):
-        file = refused_or(decoded_streamlines, content, name)
-        if file is None:
-            return False
-        again = decoded_streamlines(tract_bytes(file, name[1:]), name)
-        assert len(again.streamlines) == len(file.streamlines)
-        return True
+    """Whether `data` are read as a surface; what is read comes back as it was."""
+    name, content = _chosen("surface", data)
     found = refused_or(decoded_surface, content, name)
     if found is None:
         return False
@@ -121,6 +102,60 @@ def surface(data: bytes) -> bool:
     np.testing.assert_allclose(again.points, found.points, rtol=1e-4, atol=1e-4)
     assert np.array_equal(again.count, found.count)
     return True
+
+
+def tracts(data: bytes) -> bool:
+    """Whether `data` are read as a tractogram, which comes back with as many streamlines."""
+    name, content = _chosen("tracts", data)
+    file = refused_or(decoded_streamlines, content, name)
+    if file is None:
+        return False
+    again = decoded_streamlines(tract_bytes(file, name[1:]), name)
+    assert len(again.streamlines) == len(file.streamlines)
+    return True
+
+
+def table(data: bytes) -> bool:
+    """Whether `data` are read as a table of points or of displacements, or as what says where a table counts."""
+    name, content = _chosen("table", data)
+    if name == "surface.csv":
+        rows = refused_or(read_displacements, _written("tables/surface.csv", content))
+        assert rows is None or np.isfinite(rows).all()
+        return rows is not None
+    (FOLDER / "tables" / "sub-1_coordsystem.json").unlink(missing_ok=True)
+    path = _written(f"tables/{name}", content)
+    if name.endswith(".json"):
+        path = _written("tables/sub-1_electrodes.tsv", b"name\tx\ty\tz\nA1\t6\t1\t7\n")
+    points = refused_or(read_points, path)
+    if points is None:
+        return False
+    assert np.isfinite(points.points).all() and len(points.labels) == len(points.points) > 0
+    write_points(path, points)
+    np.testing.assert_allclose(read_points(path).points, points.points, rtol=1e-9, atol=1e-5)
+    return True
+
+
+def vtu(data: bytes) -> bool:
+    """Whether `data` are read as the solution of a run or as a user's mesh, in the slice of the run."""
+    path, frame = _written("mine.vtu", data), _result().frame
+    mesh, soup = refused_or(read_mesh, path, frame), refused_or(read_soup, path, frame)
+    assert mesh is None or (np.isfinite(mesh.points).all() and (mesh.areas > 0).all())
+    assert soup is None or soup[0].shape == soup[1].shape
+    return mesh is not None or soup is not None
+
+
+def record(data: bytes) -> bool:
+    """Whether `data` are the record of a run that can be applied to points, a surface and an image."""
+    folder = _copied()
+    (folder / "out" / "run.json").write_bytes(data)
+    earlier = OutputFolder(folder / "out", folder / "head.nii.gz").earlier
+    assert not any("/" in name or name in ("..", "run.json") for name in earlier)
+    found = False
+    for step in (None, "one"):
+        result = refused_or(Result.load, folder / "out", step)
+        for file in () if result is None else (*LATER, folder / "head.nii.gz"):
+            found |= refused_or(apply, result, file, FOLDER / "applied", force=True) is not None
+    return found
 
 
 def scenario(data: bytes) -> bool:
@@ -143,7 +178,20 @@ def words(name: str) -> list[str]:
     """Words that the inputs of a target are made of."""
     if name == "scenario":
         return sorted(set(_keys(Scenario.model_json_schema())))
+    if name == "record":
+        return sorted(set(_keys(json.loads(seeds(name)[1]))))
     return sorted({*WORDS, *_keys(json.loads(CUT))}) if name == "markups" else []
+
+
+def _chosen(target: str, data: bytes) -> tuple[str, bytes]:
+    """The name of a file that the first byte chooses, and its content."""
+    names = KINDS[target]
+    return names[data[0] % len(names) if data else 0], data[1:]
+
+
+@cache
+def _result() -> Result:
+    return Result.load(Path(finished().name) / "out")
 
 
 def _written(name: str, content: bytes) -> Path:
@@ -162,96 +210,20 @@ def _keys(value) -> list[str]:
     return [value] if isinstance(value, str) and len(value) < 20 and value else []
 
 
-def _nifti_seeds() -> list[bytes]:
-    values = np.arange(24, dtype=np.int16).reshape(4, 3, 2)
-    found = []
-    for kind in (nibabel.Nifti1Image, nibabel.Nifti2Image):
-        for dtype in (np.uint8, np.int16, np.float32):
-            image = kind(values.astype(dtype), AFFINE)
-            image.set_qform(AFFINE, code=1)
-            image.header.set_xyzt_units("mm")
-            found += [bytes([choice]) + image.to_bytes() for choice in (0, 1, 2)]
-        found.append(b"\0" + kind(np.stack([values, values], -1), AFFINE).to_bytes())
-    return found
+@cache
+def _copied() -> Path:
+    """The finished run once more, for a record of another's."""
+    return Path(shutil.copytree(finished().name, FOLDER / "copied", ignore=shutil.ignore_patterns("cache")))
 
 
-def _dicom_seeds() -> list[bytes]:
-    return [_dicom(syntax, dtype) for syntax in (ImplicitVRLittleEndian, ExplicitVRLittleEndian, ExplicitVRBigEndian,
-                                                 DeflatedExplicitVRLittleEndian, RLELossless) for dtype in ("u1", "i2")]
-
-
-def _dicom(syntax, dtype: str) -> bytes:
-    """One slice of 6 x 4 pixels, with a nested sequence, MONOCHROME1, slope and intercept."""
-    plane, item, file = Dataset(), Dataset(), io.BytesIO()
-    plane.file_meta = FileMetaDataset()
-    plane.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian if syntax == RLELossless else syntax
-    plane.SOPClassUID, plane.SOPInstanceUID, plane.SeriesInstanceUID = MRImageStorage, "1.2.3", "1.2.4"
-    item.ReferencedSOPClassUID = MRImageStorage
-    plane.ReferencedStudySequence = [item]
-    plane["ReferencedStudySequence"].is_undefined_length = True
-    plane.ImagePositionPatient, plane.ImageOrientationPatient = [1, 2, 3], [1, 0, 0, 0, 1, 0]
-    plane.PixelSpacing, plane.SliceThickness, plane.RescaleSlope, plane.RescaleIntercept = [1, 2], 3, "0.5", "-7"
-    plane.Rows, plane.Columns, plane.SamplesPerPixel, plane.PhotometricInterpretation = 4, 6, 1, "MONOCHROME1"
-    plane.BitsAllocated = plane.BitsStored = 8 * np.dtype(dtype).itemsize
-    plane.HighBit, plane.PixelRepresentation = plane.BitsStored - 1, int(dtype == "i2")
-    plane.PixelData = np.arange(24).astype((">" if syntax == ExplicitVRBigEndian else "<") + dtype).tobytes()
-    plane["PixelData"].VR = "OW"
-    if syntax == RLELossless:
-        plane.compress(RLELossless)
-    plane.save_as(file, enforce_file_format=True)
-    return file.getvalue()
-
-
-def _markups_seeds() -> list[bytes]:
-    table = b"x,y,z,label\n60,-10,7,a\n15,-5,7,b\n"
-    fcsv = b"# CoordinateSystem = LPS\n# columns = id,x,y,z,label\n1,60,-10,7,a\n2,15,-5,7,b\n"
-    tag = b'MNI Tag Point File\nVolumes = 1;\nPoints =\n 1 2 3 "a"\n 4 5 6 "b";\n'
-    others = [CUT.replace("Line", kind).encode() for kind in ("Curve", "ClosedCurve", "Fiducial")]
-    return [CUT.encode(), *others, CUT.replace("LPS", "RAS").encode(), table, fcsv, tag]
-
-
-def _scenario_seeds() -> list[bytes]:
-    head = 'xfemnav = 1\nimage = "head.nii.gz"\n'
-    cut = '[[cut]]\nname = "a"\npoints = [[-60, 10], [-15, 5]]\n'
-    whole = (head + 'space = "lps"\nnan = 0\n[slice]\nplane = "axial"\nindex = 0\n' + cut +
-             '[[cut]]\nname = "b"\nmarkups = "cut.mrk.json"\ncraniotomy = false\n'
-             '[[retract]]\nname = "r"\ncut = "a"\nside = "left"\ndisplacement_mm = [3.5, 1.0]\nblade = [0.0, 0.8]\n'
-             '[[resect]]\nname = "t"\noutline = [[0, 0], [9, 0], [0, 9]]\n'
-             '[[companion]]\nimage = "head.nii.gz"\nkind = "label"\n'
-             '[tissue]\nlabels = "head.nii.gz"\n[tissue.by_label.7]\nyoung_kpa = 9.0\n'
-             '[boundary]\nskull = "contact"\ndisplacement = "surface.csv"\n'
-             '[[boundary.arc]]\nstart = [0, 50]\nend = [-50, 0]\nskull = "free"\n'
-             '[load]\ngravity = [0.0, -1.0]\n[[load.pressure]]\nname = "p"\non = "t"\nkpa = 0.5\n'
-             '[mesh]\nelement_size_mm = 8\n[solve]\nmodel = "neo-hookean"\n[warp]\ninterp = "cubic"\n'
-             '[[step]]\nname = "one"\nacts = ["a"]\n[[step]]\nname = "two"\nacts = ["r", "t"]\nframe = "current"\n')
-    return [text.encode() for text in (head + cut, whole, head + '[[cut]]\nmarkups = "cut.mrk.json"\nsmooth = true\n',
-                                       head + '[boundary]\ndisplacement = "surface.csv"\n')]
-
-
-def _surface_seeds() -> list[bytes]:
-    lines = [np.arange(9, dtype=np.float32).reshape(3, 3), np.ones((2, 3), np.float32)]
-    tracts = nibabel.streamlines.Tractogram(lines, affine_to_rasmm=np.eye(4))
-    found = [(f".{name.rpartition('.')[2]}", content) for name, content in surface_seeds.SEEDS.items()]
-    found.append((".vtu", b"""<VTKFile type="UnstructuredGrid"><UnstructuredGrid>
-<Piece NumberOfPoints="3" NumberOfCells="1"><Points>
-<DataArray type="Float64" NumberOfComponents="3">0 0 0 1 0 0 0 1 0</DataArray></Points><Cells>
-<DataArray type="Int64" Name="connectivity">0 1 2</DataArray><DataArray type="Int64" Name="offsets">3</DataArray>
-<DataArray type="UInt8" Name="types">5</DataArray></Cells></Piece></UnstructuredGrid></VTKFile>"""))
-    for kind, ending in ((nibabel.streamlines.TrkFile, ".trk"), (nibabel.streamlines.TckFile, ".tck")):
-        kind(tracts).save(stream := io.BytesIO())
-        found.append((ending, stream.getvalue()))
-    found.append((".trk.gz", gzip.compress(found[-2][1], mtime=0)))
-    return [bytes([KINDS.index(f"a{ending}")]) + content for ending, content in found]
-
-
-#: Names of files that the target of surfaces takes.
-KINDS = [f"a{ending}" for ending in (".stl", ".vtk", ".vtp", ".gii", ".obj", ".ply", ".vtu", ".trk", ".tck", ".trk.gz")]
-TARGETS = {"nifti": nifti, "dicom": dicom, "markups": markups, "scenario": scenario, "surface": surface}
-SEEDS = {"nifti": _nifti_seeds, "dicom": _dicom_seeds, "markups": _markups_seeds, "scenario": _scenario_seeds,
-         "surface": _surface_seeds}
+TARGETS = {"nifti": nifti, "dicom": dicom, "markups": markups, "scenario": scenario, "surface": surface,
+           "tracts": tracts, "table": table, "vtu": vtu, "record": record}
 
 _KEPT = tempfile.TemporaryDirectory(prefix="xfemnav-fuzz-", dir="/dev/shm" if os.path.isdir("/dev/shm") else None)
 FOLDER = Path(_KEPT.name)
-_written("head.nii.gz", _nifti_seeds()[0][1:])
+_written("head.nii.gz", seeds("nifti")[0][1:])
 _written("cut.mrk.json", CUT.encode())
 _written("surface.csv", b"x,y,ux,uy\n-45,0,0,0\n45,0,0,0\n")
+#: What a finished run is applied to.
+LATER = (_written("points.csv", b"x,y,z,label\n30,-8,10,a\n15,-5,10,b\n"),
+         _written("skin.stl", surface_seeds.SEEDS["ascii.stl"]))

@@ -1,42 +1,40 @@
 """Results on disk under their content key: written whole or not at all, verified on every read, healed when damaged.
 
-    ROOT/CACHEDIR.TAG                       what the folder is, for programs that make backups and for us
-    ROOT/entries/ab/abcd.../manifest.json   the key and the sha256 of every other file of the entry
-    ROOT/locks/abcd...                      flock while the entry is made or checked
-    ROOT/in-use                             shared flock while a run uses the cache, exclusive while it is pruned
-    ROOT/damaged/                           entries that failed their check, set aside
-
 A manifest counts only if it is, byte for byte, the canonical JSON of what it says, so that a flipped bit anywhere in
 an entry is noticed. That is also why no entry is forced onto the disk: what a power cut tears is made anew.
 
-Nothing is ever removed but what the cache has made: files and folders whose names have the forms above, in a folder
-that bears the tag, none of them reached through a link.
+Nothing is ever removed but what the cache has made: files and folders whose names have the forms of `cache_layout`, in
+a folder that bears the tag, none of them reached through a link. What else there is stays, and so does the entry that
+holds it.
 """
 
 import json
 import os
-import re
-import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from xfemnav.errors import XfemnavError, warn
+from xfemnav.pipeline.cache_layout import (
+    ENTRY,
+    IN_USE,
+    LEFT,
+    MANIFEST,
+    PARTS,
+    TAG,
+    TAGGED,
+    held,
+    locks,
+    refuse_foreign,
+    remove_held,
+)
 from xfemnav.pipeline.disk import TEMPORARY, write_atomic, writing
 from xfemnav.pipeline.keys import canonical, digest, file_digest
 from xfemnav.pipeline.locks import locked
-
-MANIFEST = "manifest.json"
-TAG = "CACHEDIR.TAG"
-# The first line is that of https://bford.info/cachedir, the second one says whose.
-TAGGED = b"Signature: 8a477f597d28d172789f06886806bc55\n# A cache of xfemnav: all of it can be computed again.\n"
-HEX = "[0-9a-f]"
-GROUP, ENTRY, ASIDE = map(re.compile, (f"{HEX}{{2}}", f"{HEX}{{64}}", rf"{HEX}{{64}}-\d+"))
-LEFT = re.compile(rf"\.{HEX}{{64}}(-replaced)?{re.escape(TEMPORARY)}")
-PARTS = {"entries": GROUP, "locks": ENTRY, "damaged": ASIDE}  # and the forms of the names in them
-OURS = re.compile(rf"{'|'.join(PARTS)}|in-use|{re.escape(TAG)}|\.\d+-\d+{re.escape(TEMPORARY)}")
+from xfemnav.pipeline.removal import folders, open_folder
 
 
 @dataclass(frozen=True)
@@ -52,6 +50,14 @@ class Entry:
         return digest({name: self.files[name] for name in names})
 
 
+class Pruned(NamedTuple):
+    """How many entries were removed, the bytes freed, and what was to go and is still there: why, by its name."""
+
+    entries: int
+    freed: int
+    kept: dict[str, str]
+
+
 class Cache:
     """A folder of entries that several processes share.
 
@@ -63,18 +69,19 @@ class Cache:
         self.root, self._spare = Path(root), spare
         with writing(self.root, "the cache"):
             self.root.mkdir(parents=True, exist_ok=True)
-            _refuse_foreign(self.root)
+            with self._open() as root:
+                refuse_foreign(self.root, root)
             if not (self.root / TAG).exists():
                 write_atomic(self.root / TAG, TAGGED)
             for part in PARTS:
                 (self.root / part).mkdir(exist_ok=True)
-            with locked(self.root / "in-use", shared=True):
+            with locked(self.root / IN_USE, shared=True):
                 pass
 
     @contextmanager
     def in_use(self) -> Iterator[None]:
         """Keep `prune` away while a run relies on entries that it has verified."""
-        with locked(self.root / "in-use", shared=True):
+        with locked(self.root / IN_USE, shared=True):
             yield
 
     def obtain(self, key: str, build: Callable[[Path], None], *, force: bool = False) -> tuple[Entry, str]:
@@ -123,7 +130,8 @@ class Cache:
 
     def keys(self) -> list[str]:
         """All keys with an entry, damaged ones too, sorted."""
-        return sorted(path.name for path in self._within_groups(ENTRY))
+        with writing(self.root, "the cache"), self._open() as root:
+            return sorted(name for _, name in held(root) if ENTRY.fullmatch(name))
 
     def size(self, key: str) -> int:
         """Bytes of an entry on disk."""
@@ -139,27 +147,36 @@ class Cache:
                     damaged.append(key)
         return damaged
 
-    def prune(self, older_than_s: float) -> tuple[int, int]:
-        """Remove entries unused for `older_than_s` seconds, and all debris; the count and bytes removed.
+    def prune(self, older_than_s: float) -> Pruned:
+        """Remove entries unused for `older_than_s` seconds, and all debris.
 
-        Raises XfemnavError E503 while a run uses the cache.
+        What holds something that is not the cache's, and what the system refuses to remove, is kept. Raises
+        XfemnavError E503 while a run uses the cache, E504 when it is none any more.
         """
-        with locked(self.root / "in-use", limit_s=2.0):
-            old = [key for key in self.keys() if time.time() - self._folder(key).stat().st_mtime >= older_than_s]
-            debris = [*_folders(self.root / "damaged", ASIDE), *self._within_groups(LEFT)]
-            gone, freed = [*map(self._folder, old), *debris], 0
-            with writing(self.root, "the cache"):
-                for folder in gone:
-                    freed += _bytes_under(folder)
-                    shutil.rmtree(folder)
-                for lock in (self.root / "locks").iterdir():
-                    if ENTRY.fullmatch(lock.name) and lock.is_file() and not lock.is_symlink():
-                        lock.unlink()
-            return len(old), freed
+        count, freed, kept, before = 0, 0, {}, time.time() - older_than_s
+        with locked(self.root / IN_USE, limit_s=2.0), writing(self.root, "the cache"), self._open() as root:
+            refuse_foreign(self.root, root)
+            for within, name in held(root):
+                is_entry = bool(ENTRY.fullmatch(name))
+                try:
+                    if not is_entry or os.stat(name, dir_fd=within, follow_symlinks=False).st_mtime <= before:
+                        freed += remove_held(name, within)
+                        count += is_entry
+                except OSError as error:
+                    kept[name] = error.strerror
+            with open_folder("locks", root) as within, suppress(PermissionError):  # another user's
+                for name in locks(within):
+                    os.unlink(name, dir_fd=within)
+        return Pruned(count, freed, kept)
 
-    def _within_groups(self, form: re.Pattern) -> list[Path]:
-        """Folders whose names have a `form`, in the folders of entries."""
-        return [path for group in _folders(self.root / "entries", GROUP) for path in _folders(group, form)]
+    @contextmanager
+    def _open(self, *names: str) -> Iterator[int]:
+        """A descriptor of the cache's folder, or of one below it: of `names` none may be a link."""
+        with ExitStack() as stack:
+            handle = stack.enter_context(open_folder(self.root, linked=True))
+            for name in names:
+                handle = stack.enter_context(open_folder(name, handle))
+            yield handle
 
     def _folder(self, key: str) -> Path:
         return self.root / "entries" / key[:2] / key
@@ -168,9 +185,12 @@ class Cache:
         folder = self._folder(key)
         temporary, replaced = (folder.with_name(f".{key}{part}{TEMPORARY}") for part in ("", "-replaced"))
         with writing(self.root, "the cache"):
-            for left in filter(Path.exists, (temporary, replaced)):  # a killed run's; we hold the key's lock
-                shutil.rmtree(left)
-            temporary.mkdir(parents=True)
+            folder.parent.mkdir(exist_ok=True)
+            with self._open("entries", key[:2]) as group:
+                for left in folders(group, LEFT):
+                    if key in left:  # a killed run's; we hold the key's lock
+                        remove_held(left, group)
+            temporary.mkdir()
             try:
                 build(temporary)
                 files = _digests(temporary)
@@ -178,40 +198,25 @@ class Cache:
                 if folder.exists():  # made anew by force
                     os.rename(folder, replaced)
                 os.rename(temporary, folder)
-                shutil.rmtree(replaced, ignore_errors=True)
+                self._forget(replaced)
             except BaseException:
-                shutil.rmtree(temporary, ignore_errors=True)
+                self._forget(temporary)
                 raise
         return Entry(key, folder, files)
 
+    def _forget(self, folder: Path) -> None:
+        """Remove a folder of our own making, if it is there and can be removed."""
+        with suppress(OSError), self._open("entries", folder.parent.name) as group:
+            remove_held(folder.name, group)
+
     def _set_aside(self, key: str) -> None:
         """Move an entry out of the way under a name that nothing else has."""
-        number = 0
-        while (aside := self.root / "damaged" / f"{key}-{number}").exists():
-            number += 1
-        with writing(self.root, "the cache"):
-            os.rename(self._folder(key), aside)
-
-
-def _folders(parent: Path, form: re.Pattern) -> list[Path]:
-    """The folders in `parent` whose names have a `form`; a link is none."""
-    with os.scandir(parent) as found:
-        return [Path(item) for item in found if form.fullmatch(item.name) and item.is_dir(follow_symlinks=False)]
-
-
-def _refuse_foreign(root: Path) -> None:
-    """Raise E504 unless a folder is a cache of ours: tagged, or with names of our forms alone; and no part a link."""
-    tag, parts = root / TAG, map(root.joinpath, PARTS)
-    tagged = tag.is_file() and tag.read_bytes()
-    wrong = [part for part in parts if part.is_symlink() or part.is_file()] + [tag] * (tagged not in (TAGGED, False))
-    stranger = next(iter(wrong), None)
-    if stranger is None and not tagged:
-        forms = {root: OURS} | {root / part: form for part, form in PARTS.items()}
-        stranger = next((path for folder, form in forms.items() if folder.is_dir()
-                         for path in sorted(folder.iterdir()) if not form.fullmatch(path.name)), None)
-    if stranger is not None:
-        raise XfemnavError("E504", f"{root} is no cache of xfemnav: it holds {stranger.relative_to(root)}. Give an "
-                                   "empty folder, or one that is not there yet, with -w.")
+        with (writing(self.root, "the cache"), self._open("entries", key[:2]) as group,
+              self._open("damaged") as damaged):
+            taken, number = set(os.listdir(damaged)), 0
+            while (aside := f"{key}-{number}") in taken:
+                number += 1
+            os.rename(key, aside, src_dir_fd=group, dst_dir_fd=damaged)
 
 
 def _digests(folder: Path) -> dict[str, str]:

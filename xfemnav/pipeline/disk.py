@@ -3,7 +3,7 @@
 import errno
 import itertools
 import os
-import shutil
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +12,7 @@ from xfemnav.errors import XfemnavError
 
 FULL, NO_MEMORY = (errno.ENOSPC, errno.EDQUOT), (errno.ENOMEM,)
 TEMPORARY = ".xfemnav-tmp"  # ending of files that a killed run may leave; the next run removes them
+UNFINISHED = re.compile(rf"\.\d+-\d+{re.escape(TEMPORARY)}")  # what `write_together` calls them
 
 NUMBERS = itertools.count()
 
@@ -72,7 +73,5 @@ def sync(path: Path) -> None:
 def remove_temporaries(folder: Path) -> None:
     """Remove what a killed run left half-written in `folder`; call it only while holding the folder's lock."""
     for left in folder.glob(f".*{TEMPORARY}"):
-        if left.is_dir():
-            shutil.rmtree(left)
-        else:
+        if UNFINISHED.fullmatch(left.name) and left.is_file() and not left.is_symlink():
             left.unlink()

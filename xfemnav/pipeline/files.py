@@ -39,9 +39,12 @@ def write_vtu(path: Path, points, cells, point_data: dict | None = None, cell_da
 
 
 def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = ()):
-    """The triangles of a VTU file and the point data `wanted`: a Grid. Raises E100, E102, E106, and the error `code`
-    when it is none."""
+    """The triangles of a VTU file and the point data `wanted`, all of them numbers and within reach: a Grid.
+
+    Raises E100, E102, E106, and the error `code` when it is none.
+    """
     from xfemnav.imaging.content import file_bytes
+    from xfemnav.imaging.points import FARTHEST
     from xfemnav.imaging.vtk_grid import grid
 
     content = file_bytes(path, LARGEST)
@@ -53,14 +56,16 @@ def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = ()):
         raise XfemnavError(code if error.code == "E701" else error.code, error.message) from None
     if len(found.triangles) == 0:
         raise XfemnavError(code, f"{path.name} holds no triangles. Write a VTU of triangles in mm (RAS).")
+    for what, values in (("points", found.points), *found.point_data.items()):
+        if not (abs(values.astype(float)) <= FARTHEST).all():
+            raise XfemnavError(code, f"{path.name} has {what} that are NaN, or over {FARTHEST:g} mm. Write it again, "
+                                     "in mm.")
     return found
 
 
 def read_mesh(path: Path, slice, min_quality: float = 0.05) -> Mesh:
     """The user's mesh in the plane of `slice`: VTU triangles, world RAS mm. Raises E100 and E209."""
     found = read_vtu(path, "E209")
-    if not np.isfinite(found.points).all():
-        raise XfemnavError("E209", f"{path.name} has points that are NaN or infinite. Write it again.")
     used, cells = np.unique(found.triangles, return_inverse=True)
     points, distance = slice.from_world(found.points[used])
     if abs(distance).max() > slice.thickness / 2 * (1 + 1e-6):
@@ -79,8 +84,9 @@ def _checked_mesh(name: str, points, cells, min_quality: float) -> Mesh:
         loops = mesh.boundary_loops
     except ValueError as error:
         raise XfemnavError("E209", f"{name}: {error}. Mend the mesh.") from None
-    worst = int(np.argmin(mesh.quality))
-    if mesh.quality[worst] < min_quality:
+    with np.errstate(all="ignore"):  # of a triangle of no size
+        worst = int(np.argmin(mesh.quality))
+    if not mesh.quality[worst] >= min_quality:
         raise XfemnavError("E209", f"{name}: triangle {worst} has quality {mesh.quality[worst]:.3f}, "
                                    f"below {min_quality}. Mend the mesh.")
     edges = np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -91,7 +97,7 @@ def _checked_mesh(name: str, points, cells, min_quality: float) -> Mesh:
                                    "one is wanted.")
     x, y = points[loops[0]].T
     enclosed = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
-    if abs(enclosed - mesh.areas.sum()) > 1e-6 * mesh.areas.sum():
+    if not abs(enclosed - mesh.areas.sum()) <= 1e-6 * mesh.areas.sum():
         raise XfemnavError("E209", f"{name}: triangles overlap ({mesh.areas.sum():.2f} mm2 of triangles inside an "
                                    f"outline of {enclosed:.2f} mm2). Mend the mesh.")
     return mesh

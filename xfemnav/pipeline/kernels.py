@@ -22,13 +22,18 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.disk import write_atomic
+from xfemnav.pipeline.disk import UNFINISHED, write_atomic
 from xfemnav.pipeline.keys import PACKAGE, canonical, file_digest, source_digest
+from xfemnav.pipeline.removal import folders, open_folder, remove, stranger
 
 LAYERS = ("geometry", "mechanics", "imaging")  # where kernels stand
 NAME = "xfemnav-kernels-"
 SLOW = ("mesh", "constrain", "solve", "warp")  # stages whose kernels take seconds to compile
 SEALED, COMPILED = "sealed", "*.nb[ic]"  # digests of kernels by their names, and what numba calls its files
+KERNEL = re.compile(r"([\w-]+/)*[^/]+\.nb[ic]")
+# What is in a folder of kernels, unfinished files of numba's and of ours too.
+MADE = re.compile(rf"{KERNEL.pattern}(\.tmp\.\w+)?|{SEALED}|\w+\.compiled|{UNFINISHED.pattern}")
+FOLDER = re.compile(rf"{NAME}[0-9a-f]{{16}}")
 IMPORT = re.compile(r"^\s*from (xfemnav[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 FORGET_S = 30 * 86400  # kernels of other code are removed when nothing has been added to them for so long
 
@@ -48,20 +53,17 @@ def settle_kernel_cache() -> str | None:
         return None
     if given and Path(given).name.startswith(NAME):  # a parent's, of other code
         given = Path(given).parent
-    base = next(filter(_writable, [Path(given)] if given else _places()), None)
+    base = next((base for base in ([Path(given)] if given else _places())
+                 if _writable(base / name) and _rid_of_damage(base / name)), None)
     passing = base is None
     if passing:
         base = Path(tempfile.mkdtemp(prefix="xfemnav-"))
         atexit.register(shutil.rmtree, base, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = str(base / name)
-    _remove_damaged(base / name)
     atexit.register(_seal, base / name)
     if "numba" in sys.modules:
         sys.modules["numba"].config.reload_config()
-    for other in base.glob(f"{NAME}*"):
-        with suppress(FileNotFoundError):  # another process removes it too
-            if other.name != name and time.time() - other.stat().st_mtime > FORGET_S:
-                shutil.rmtree(other, ignore_errors=True)
+    _forget_old(base, name)
     return PASSING if passing else None
 
 
@@ -96,21 +98,44 @@ def compiling(stage: str, tell: Callable[[], None]) -> Iterator[None]:
         _seal(done.parent)
 
 
-def _remove_damaged(folder: Path) -> None:
-    """Remove the kernels in `folder` that are not as they were sealed; all, where the seal itself is damaged."""
+def _rid_of_damage(folder: Path) -> bool:
+    """Remove the kernels in `folder` that are not as they were sealed; all, where the seal itself is damaged.
+
+    False where one cannot be removed: it may be another user's, and whoever runs it may crash.
+    """
     try:
         sealed = json.loads((folder / SEALED).read_bytes())
-        names = {name for name, digest in sealed.items() if isinstance(digest, str)}
+        if not all(map(KERNEL.fullmatch, sealed)) or not all(isinstance(digest, str) for digest in sealed.values()):
+            raise ValueError("no digests of kernels")
     except FileNotFoundError:
-        return  # none is sealed yet
-    except (OSError, ValueError, AttributeError):
-        shutil.rmtree(folder, ignore_errors=True)
-        return
-    for name in names:
-        with suppress(FileNotFoundError):  # numba, or another process, has replaced it
-            path = folder / name
-            if path.is_file() and file_digest(path) != sealed[name]:
-                path.unlink()
+        return True  # none is sealed yet
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        with suppress(OSError), open_folder(folder.parent, linked=True) as within:
+            remove(folder.name, within, MADE.fullmatch)
+        return not any(folder.rglob(COMPILED))
+    return all([_rid_of_damaged(folder / name, digest) for name, digest in sealed.items()])
+
+
+def _rid_of_damaged(path: Path, sealed: str) -> bool:
+    """Remove a kernel whose digest is not the one that was `sealed`; False where that cannot be done."""
+    try:
+        if path.is_file() and file_digest(path) != sealed:
+            path.unlink()
+    except FileNotFoundError:  # numba, or another process, has replaced it
+        return True
+    except OSError:
+        return False
+    return True
+
+
+def _forget_old(base: Path, name: str) -> None:
+    """Remove what nobody uses any more from the folder of kernels `base`, but not `name`, and nothing of anybody's."""
+    with suppress(OSError), open_folder(base, linked=True) as within:
+        for other in folders(within, FOLDER):
+            changed = os.stat(other, dir_fd=within, follow_symlinks=False).st_mtime
+            if other != name and time.time() - changed > FORGET_S and not stranger(other, within, MADE.fullmatch):
+                with suppress(OSError):  # another process removes it too
+                    remove(other, within, MADE.fullmatch)
 
 
 def _seal(folder: Path) -> None:

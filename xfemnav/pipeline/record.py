@@ -41,6 +41,13 @@ class _Slice(_Part):
     plane: Literal["axial", "coronal", "sagittal"]
 
 
+class _Parameters(_Part):
+    """Those that what comes later is read by."""
+
+    space: Literal["ras", "lps", "voxel"]
+    nifti_frame: Literal["auto", "sform", "qform"] = "auto"  # which records of before do not state
+
+
 class _Error(_Part):
     code: Literal[tuple(FAULTS)]
     text: str
@@ -50,14 +57,15 @@ class _Record(_Part):
     status: Literal["complete", "untrusted", "failed", "interrupted"]
     outputs: dict[str, Annotated[str, AfterValidator(_own_name)]]
     slice: _Slice | None = None
+    parameters: _Parameters | None = None
     cuts: list[_Cut] | None = None
     steps: list[_Step] = []
     error: _Error | None = None
 
     @model_validator(mode="after")
     def _whole(self):
-        if "solution" in self.outputs and (self.slice is None or self.cuts is None):
-            raise ValueError("it has a solution, but no slice or no cuts")
+        if "solution" in self.outputs and None in (self.slice, self.cuts, self.parameters):
+            raise ValueError("it has a solution, but no slice, no cuts or no parameters")
         if self.status == "untrusted" and self.error is None:
             raise ValueError("it is untrusted and does not say why")
         return self
