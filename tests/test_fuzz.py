@@ -192,6 +192,11 @@ def test_what_was_found_is_refused_with_a_code(name):
     assert not fed(target, content())
 
 
+def test_a_remark_about_another_format_makes_no_other_format():
+    """Where normals before it are left out, it comes to stand where formats have their marks."""
+    assert fed("surface", seeds("surface")[15] + b"vn 0 0 1\n" * 99 + b"# <VTKFile\n")
+
+
 @pytest.mark.parametrize("name", TARGETS)
 def test_targets_take_what_is_right(name):
     """A fuzzer that begins with what is refused at the door never comes to the rooms behind it."""

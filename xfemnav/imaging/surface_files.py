@@ -5,6 +5,7 @@ have no mark of their own. Where its points lie, it says itself (`SPACE=LPS`, wh
 GIfTI's coordinate system), or its user does.
 """
 
+import codecs
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -98,7 +99,9 @@ def _frame(form: Form, name: str, space: str) -> tuple[np.ndarray, str, bool]:
 
 def _check_mark(content: bytes, name: str, ending: str) -> None:
     """Raise E701 where a file is of another format than its name says."""
-    found = [own for own, mark in MARKS.items() if mark in content[:HEAD if mark.startswith(b"<") else len(mark)]]
+    tagged = content.removeprefix(codecs.BOM_UTF8).lstrip().startswith(b"<")  # else such a mark is a remark
+    found = [own for own, mark in MARKS.items()
+             if (tagged and mark in content[:HEAD] if mark.startswith(b"<") else content.startswith(mark))]
     if ending not in found and (found or ending in MARKS):
         told = f"its content is that of a {found[0]}" if found else f"it does not begin with {MARKS[ending].decode()!r}"
         raise unreadable(name, f"is no {ending}: {told}. Rename it, or save the surface again.")
