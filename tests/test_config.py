@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.config import STAGES, configure, scenario_problems
-from xfemnav.pipeline.flags import CUT_FLAGS, FILE_FLAGS, FLAGS, KINDS, OF_COMPANIONS
+from xfemnav.pipeline.flags import FLAGS, KINDS, OF_COMPANIONS, TABLE
 from xfemnav.pipeline.keys import canonical
 from xfemnav.pipeline.scenario import CompanionSection, Scenario, problems, read_toml
 from xfemnav_cli.run import execute, run
@@ -234,7 +234,7 @@ def test_measured_boundary_is_read_or_refused(tmp_path, header, rows, code):
 
 def test_command_line_and_table_of_flags_agree():
     own = set(execute.__kwdefaults__) | {"verbose", "as_json", "quiet"}
-    assert {option.name for option in run.params} - own == {*FLAGS, *CUT_FLAGS, *FILE_FLAGS, *OF_COMPANIONS}
+    assert {option.name for option in run.params} - own == set(TABLE)
 
 
 def test_choices_of_the_command_line_are_those_of_the_schema():

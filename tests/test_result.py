@@ -223,6 +223,7 @@ def toy_package(folder):
                                                                          "disk", "removal"))):
         (toy / name).parent.mkdir(parents=True, exist_ok=True)
         (toy / f"{name}.py").write_bytes((keys.PACKAGE / f"{name}.py").read_bytes())
+    (toy / "__init__.pyi").touch()
     (toy / "geometry").mkdir()
     return toy
 

@@ -1,21 +1,15 @@
 """xfemnav: update preoperative images after cuts and retractions with the extended finite element method."""
 
-from importlib import import_module
+import lazy_loader
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "run": "xfemnav.pipeline.result",
-    "Result": "xfemnav.pipeline.result",
-    "Session": "xfemnav.pipeline.session",
-    "XfemnavError": "xfemnav.errors",
-    "XfemnavWarning": "xfemnav.errors",
-}
-__all__ = ["Result", "Session", "XfemnavError", "XfemnavWarning", "__version__", "run"]
+# The public names stand in __init__.pyi, where type checkers find them too; they are imported when they are first used,
+# so that `import xfemnav` loads no numerics.
+__getattr__, _, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__all__ += ["__version__"]
 
 
-def __getattr__(name: str):
-    """Public names, imported when they are first used: `import xfemnav` loads no numerics."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'xfemnav' has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+def __dir__() -> list[str]:
+    """The public names."""
+    return list(__all__)

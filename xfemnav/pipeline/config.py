@@ -90,10 +90,12 @@ class Config:
         return self.steps[-1].constrain
 
 
-def configure(image=None, scenario=None, flags: dict | None = None, *, until: str = "warp") -> Config:
+def configure(image=None, scenario=None, flags: dict | None = None, *, until: str = "warp",
+              own: tuple[str, ...] = ()) -> Config:
     """The checked configuration of a run up to the stage `until`.
 
-    `image` and the `flags` (by name, without dashes) win over the file `scenario`. Raises E100, E780 and E781.
+    `image` and the `flags` (by name, without dashes) win over the file `scenario`. `own` are the other arguments of the
+    function that was given them. Raises E100, E780 and E781.
     """
     from xfemnav.pipeline.scenario import read_toml, validated
 
@@ -101,7 +103,7 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     if scenario is not None:
         raw = read_toml(Path(scenario))
         files = confined(raw, Path(scenario).parent, flags.get("allow_outside"))
-    found, given = add_flags(raw, flags)
+    found, given = add_flags(raw, flags, own)
     if image is not None:
         given["image"], raw["image"] = _with_a_name(Path(image)), printed(image)
     files = {place: path for place, path in (files | given).items() if place in path_places(raw)}

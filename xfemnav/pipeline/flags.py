@@ -3,62 +3,111 @@
 What is made here is raw: a dict as TOML gives it, which the schema then checks as a whole.
 """
 
+import difflib
 import math
 import os
 import re
+from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypedDict
 
 from xfemnav.errors import XfemnavError
 
-#: Flag -> its place in the scenario. Cuts and lips have flags of their own form (`_add_cuts`, `_add_lips`).
-FLAGS: dict[str, str] = {
-    "mask": "mask",
-    "space": "space",
-    "volume": "volume",
-    "nan": "nan",
-    "spacing": "spacing",
-    "nifti_frame": "nifti_frame",
-    "resample_mask": "resample_mask",
-    "min_resection_mm": "min_resection_mm",
-    "max_memory": "max_memory_gb",
-    "strict": "strict",
-    "allow_outside": "allow_outside",
-    "slice": "slice.index",
-    "slice_mm": "slice.position_mm",
-    "plane": "slice.plane",
-    "segment_method": "segment.method",
-    "skull_on": "segment.skull",
-    "template": "segment.template",
-    "template_mask": "segment.template_mask",
-    "mesh": "mesh.file",
-    "element_size_mm": "mesh.element_size_mm",
-    "corridor_mm": "mesh.corridor_mm",
-    "corridor_element_mm": "mesh.corridor_element_mm",
-    "grade_at_data_ends": "mesh.grade_at_data_ends",
-    "young_kpa": "tissue.young_kpa",
-    "poisson": "tissue.poisson",
-    "skull": "boundary.skull",
-    "craniotomy_mm": "boundary.craniotomy_mm",
-    "skull_ramp_mm": "boundary.skull_ramp_mm",
-    "skull_gap_mm": "boundary.skull_gap_mm",
-    "lips": "boundary.lips",
-    "loose_pieces": "boundary.loose_pieces",
-    "boundary_displacement": "boundary.displacement",
-    "gravity": "load.gravity",
-    "labels": "tissue.labels",
-    "model": "solve.model",
-    "stress_state": "solve.stress_state",
-    "tip_enrichment": "solve.tip_enrichment",
-    "lip_constraint": "solve.lip_constraint",
-    "hold_tip": "solve.hold_tip",
-    "interp": "warp.interp",
-    "outside": "warp.outside",
-    "fill": "warp.fill",
-    "transforms": "warp.transforms",
-}
-FLAG_OF = {place: "--" + name.replace("_", "-") for name, place in FLAGS.items()}
-CUT_FLAGS = ("cut", "markup", "internal", "left", "right", "lip_force", "opening_mm", "blade", "resect")
+AnyPath = str | os.PathLike[str]
+Drawn = AnyPath | Collection[Any]
+
+
+class Own(NamedTuple):
+    """A flag that stands for no single key of the scenario: what it is without being given, and what it means."""
+
+    default: Any
+    meaning: str
+
+
+class Flags(TypedDict, total=False):
+    """Every flag: its type, and its place in the scenario, where its default, choices and meaning are, or its `Own`.
+
+    It types the keyword arguments of `xfemnav.run` and `xfemnav.Session`; the options of the command have its names.
+    """
+
+    slice: Annotated[int | None, "slice.index"]
+    slice_mm: Annotated[float | None, "slice.position_mm"]
+    plane: Annotated[str | None, "slice.plane"]
+    mask: Annotated[AnyPath | None, "mask"]
+    segment_method: Annotated[str | None, "segment.method"]
+    template: Annotated[AnyPath | None, "segment.template"]
+    template_mask: Annotated[AnyPath | None, "segment.template_mask"]
+    skull_on: Annotated[str | None, "segment.skull"]
+    resample_mask: Annotated[bool | None, "resample_mask"]
+    volume: Annotated[int | None, "volume"]
+    nan: Annotated[float | None, "nan"]
+    spacing: Annotated[str | Sequence[float] | None, "spacing"]
+    nifti_frame: Annotated[str | None, "nifti_frame"]
+    space: Annotated[str | None, "space"]
+    max_memory: Annotated[float | None, "max_memory_gb"]
+    strict: Annotated[bool | None, "strict"]
+    allow_outside: Annotated[bool | None, "allow_outside"]
+    cut: Annotated[Drawn | None, Own(
+        (), "points of a cut, mouth first: 'x,y x,y ...', rows of 2 numbers (plane mm) or 3 (world mm), or a point "
+            "file; a list of these for several cuts")]
+    markup: Annotated[str | None, Own(None, "which markup of a point file with several")]
+    internal: Annotated[bool | None, Own(False, "the cuts lie inside, with two tips")]
+    left: Annotated[str | Collection[float] | None, Own(
+        None, "displacement of the first cut's left lip, plane mm: 'dx,dy' or two numbers")]
+    right: Annotated[str | Collection[float] | None, Own(None, "the same of its right lip")]
+    lip_force: Annotated[str | Sequence[str] | None, Own(
+        (), "'left=fx,fy': force on a lip of it, mN per mm of thickness; a list of these for both lips")]
+    opening_mm: Annotated[float | None, Own(None, "opens the first cut along its normal, mm in all")]
+    blade: Annotated[str | Collection[float] | None, Own(
+        None, "held part of the cuts: 'from,to' or two numbers, 0 at the mouth, 1 at the tip; left out: 0 to 0.8")]
+    resect: Annotated[Drawn | None, Own(
+        (), "closed outline of what is taken out, as a cut's points or its file, a mask, or 'label=n,n'; a list of "
+            "these for several")]
+    min_resection_mm: Annotated[float | None, "min_resection_mm"]
+    labels: Annotated[AnyPath | None, "tissue.labels"]
+    mesh: Annotated[AnyPath | None, "mesh.file"]
+    element_size_mm: Annotated[float | None, "mesh.element_size_mm"]
+    corridor_mm: Annotated[float | None, "mesh.corridor_mm"]
+    corridor_element_mm: Annotated[float | None, "mesh.corridor_element_mm"]
+    grade_at_data_ends: Annotated[bool | None, "mesh.grade_at_data_ends"]
+    young_kpa: Annotated[float | None, "tissue.young_kpa"]
+    poisson: Annotated[float | None, "tissue.poisson"]
+    skull: Annotated[str | None, "boundary.skull"]
+    skull_gap_mm: Annotated[float | None, "boundary.skull_gap_mm"]
+    craniotomy_mm: Annotated[float | None, "boundary.craniotomy_mm"]
+    skull_ramp_mm: Annotated[float | None, "boundary.skull_ramp_mm"]
+    boundary_displacement: Annotated[AnyPath | None, "boundary.displacement"]
+    lips: Annotated[str | None, "boundary.lips"]
+    loose_pieces: Annotated[str | None, "boundary.loose_pieces"]
+    gravity: Annotated[str | Sequence[float] | None, "load.gravity"]
+    model: Annotated[str | None, "solve.model"]
+    stress_state: Annotated[str | None, "solve.stress_state"]
+    tip_enrichment: Annotated[str | None, "solve.tip_enrichment"]
+    lip_constraint: Annotated[str | None, "solve.lip_constraint"]
+    hold_tip: Annotated[bool | None, "solve.hold_tip"]
+    interp: Annotated[str | None, "warp.interp"]
+    outside: Annotated[str | None, "warp.outside"]
+    fill: Annotated[float | None, "warp.fill"]
+    transforms: Annotated[str | None, "warp.transforms"]
+    companion: Annotated[AnyPath | Sequence[AnyPath] | None, Own(
+        (), "other images to carry along: '[kind=]file', or a list of these")]
+    axes: Annotated[str | None, "companion.*.axes"]
+    tensor_order: Annotated[str | None, "companion.*.order"]
+    points: Annotated[AnyPath | Sequence[AnyPath] | None, "points"]
+    streamlines: Annotated[AnyPath | Sequence[AnyPath] | None, "streamlines"]
+    surfaces: Annotated[AnyPath | Sequence[AnyPath] | None, "surfaces"]
+
+
+#: Place in the scenario, or `Own`, of every flag.
+TABLE: dict[str, str | Own] = {name: hint.__metadata__[0] for name, hint in Flags.__annotations__.items()}
+PLACED = {name: place for name, place in TABLE.items() if isinstance(place, str)}
+#: Flags of files, which come after the scenario's own.
 FILE_FLAGS = ("companion", "points", "streamlines", "surfaces")
+#: Flag -> key of every companion that is given by a flag.
+OF_COMPANIONS = {name: place.rpartition(".")[2] for name, place in PLACED.items() if "*" in place}
+#: Flag -> the one place in the scenario that it sets.
+FLAGS = {name: place for name, place in PLACED.items() if name not in (*FILE_FLAGS, *OF_COMPANIONS)}
+FLAG_OF = {place: "--" + name.replace("_", "-") for name, place in FLAGS.items()}
 #: Places of paths; "cut.*.markups" are those of every cut.
 PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.file", "boundary.displacement",
          "tissue.labels", "cut.*.markups", "resect.*.markups", "resect.*.mask", "companion.*.image", "points.*",
@@ -68,18 +117,17 @@ BACKSLASH = ("In double quotes a backslash begins an escape: write a path of Win
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 MARKUPS = (".json", ".fcsv", ".csv", ".tsv", ".tag")
 KINDS = ("continuous", "label", "vector", "axis", "tensor")
-OF_COMPANIONS = {"axes": "axes", "tensor_order": "order"}  # flag: key of every companion that is given by a flag
 MASKS = (".nii", ".nii.gz", ".nrrd", ".mha", ".mgz")
 
 
-def add_flags(raw: dict, flags: dict) -> tuple[list[str], dict[str, Path]]:
+def add_flags(raw: dict, flags: dict, own: tuple[str, ...] = ()) -> tuple[list[str], dict[str, Path]]:
     """Put the `flags` (by name, without dashes) into `raw`, in place.
 
-    The problems found, one line each, and the files that the flags name, by their place in the scenario.
+    The problems found, one line each, and the files that the flags name, by their place in the scenario. `own` are
+    the other arguments of who takes the flags, which a wrong name may be meant for.
     """
     given = {name: value for name, value in flags.items() if value is not None and not _is_empty(value)}
-    known = {*FLAGS, *CUT_FLAGS, *FILE_FLAGS, *OF_COMPANIONS}
-    found = [f"{name}: unknown option" for name in sorted(set(given) - known)]
+    found = [f"{name}: unknown option{_meant(name, own)}" for name in sorted(set(flags) - set(TABLE))]
     files = {}
     for name, place in FLAGS.items():
         if name in given:
@@ -91,6 +139,14 @@ def add_flags(raw: dict, flags: dict) -> tuple[list[str], dict[str, Path]]:
     _add_resections(raw, given, found, files)
     _add_files(raw, given, found, files)
     return found, files
+
+
+def _meant(name: str, own: tuple[str, ...]) -> str:
+    """The flag, or the other argument, that a wrong name is nearest to; the key of a scenario means its flag."""
+    keys = {place.rpartition(".")[2]: flag for flag, place in FLAGS.items()}
+    names = keys | {flag: flag for flag in (*TABLE, *own)}
+    near = difflib.get_close_matches(name.strip("-").replace("-", "_").lower(), names, 1, 0.6)
+    return f", did you mean '{names[near[0]]}'?" if near else ""
 
 
 def path_places(raw: dict) -> dict[str, str]:

@@ -2,20 +2,35 @@
 
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.pipeline import job
 from xfemnav.pipeline.config import STAGES, configure
 from xfemnav.pipeline.disk import write_atomic
+from xfemnav.pipeline.flags import AnyPath, Flags
 from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.record import read_record
+from xfemnav.pipeline.signatures import own_names, takes_flags
+
+if TYPE_CHECKING:
+    from xfemnav.geometry.affine_map import PiecewiseAffineMap
+    from xfemnav.geometry.mesh import Mesh
+    from xfemnav.imaging.landmarks import MovedPoints
+    from xfemnav.imaging.lean import nibabel
+    from xfemnav.imaging.slices import Slice
+    from xfemnav.imaging.streamlines import MovedStreamlines
+    from xfemnav.imaging.surfaces import MovedSurface
+    from xfemnav.imaging.warp import PullBack, Update
 
 SIDES = {"left": 1, "right": -1}
+Side = Literal["left", "right"] | ArrayLike | None
 
 
-def side_number(side):
+def side_number(side: Side) -> ArrayLike | None:
     """+1 for "left" and -1 for "right"; numbers, one for all or one a point, and None stay. Raises E780."""
     if not isinstance(side, str):
         return side
@@ -24,12 +39,15 @@ def side_number(side):
     return SIDES[side]
 
 
-def run(image=None, *, scenario=None, output=None, cache=None, report: bool = True, force: bool = False, **flags):
+@takes_flags
+def run(image: AnyPath | None = None, *, scenario: AnyPath | None = None, output: AnyPath | None = None,
+        cache: AnyPath | None = None, report: bool = True, force: bool = False, **flags: Unpack[Flags]) -> "Result":
     """Update `image` after a cut, as `xfemnav run` does, and return the `Result`.
 
-    `flags` are those of the command with underscores: cut, left, right, opening_mm, blade, mask, slice_mm, ... A cut is
-    "x,y x,y ..." or rows of numbers (several: a list of cuts), a vector "3.5,1" or two numbers. Warnings of the run are
-    issued as Python warnings. Raises XfemnavError.
+    The settings are those of the TOML file `scenario`, and of flags, which win over it: the command's, with
+    underscores. Files go to the folder `output` (left out: <stem>_xfemnav in the current one), finished stages to
+    `cache` (left out: that of the command); `force` computes all of them again. `report`: with figure and page.
+    Warnings of the run are issued as Python warnings. Raises XfemnavError.
 
     Cut the phantom, open it by 6 mm, and follow a point on each lip:
 
@@ -49,7 +67,7 @@ def run(image=None, *, scenario=None, output=None, cache=None, report: bool = Tr
     array([nan, nan])
     >>> folder.cleanup()
     """
-    config = configure(image, scenario, flags)
+    config = configure(image, scenario, dict(flags), own=own_names(run))
     options = job.Options(
         output=Path(output) if output is not None else job.default_output(config.image),
         cache=Path(cache) if cache is not None else job.default_cache(),
@@ -69,7 +87,7 @@ class Result:
     it is after `step`, the last one unless another is named.
     """
 
-    def __init__(self, folder: Path, record: dict, step: str | None = None):
+    def __init__(self, folder: Path, record: dict[str, Any], step: str | None = None):
         if "solution" not in record["outputs"]:
             raise XfemnavError("E701", f"the run in {folder} ({record['status']}) has no solution. Run it again.")
         self.folder, self.record = Path(folder), record
@@ -77,7 +95,7 @@ class Result:
         settle_kernel_cache()  # before `motion` imports kernels
 
     @classmethod
-    def load(cls, folder, step: str | None = None) -> "Result":
+    def load(cls, folder: AnyPath, step: str | None = None) -> "Result":
         """The result in an output folder, after a step of the run. Raises E100, E701, and E780 for an unknown step."""
         return cls(Path(folder), read_record(Path(folder)), step)
 
@@ -92,7 +110,7 @@ class Result:
         return self.record["parameters"].get("nifti_frame", "auto")
 
     @cached_property
-    def frame(self):
+    def frame(self) -> "Slice":
         """The plane of the slice: an imaging Slice whose values are the organ's mask."""
         from xfemnav.imaging.reading import read_image
         from xfemnav.imaging.slices import take_slice
@@ -101,7 +119,7 @@ class Result:
         return take_slice(mask, plane=self.record["slice"]["plane"])
 
     @cached_property
-    def organ(self):
+    def organ(self) -> "Mesh":
         """The whole organ at rest, also what was resected: the Mesh of the run, plane mm."""
         from xfemnav.geometry.mesh import Mesh
         from xfemnav.pipeline.files import read_vtu
@@ -110,7 +128,7 @@ class Result:
         return Mesh(self.frame.from_world(found.points)[0], found.triangles)
 
     @cached_property
-    def motion(self):
+    def motion(self) -> "PiecewiseAffineMap":
         """The map of the tissue, in plane coordinates: a PiecewiseAffineMap."""
         from xfemnav.geometry.affine_map import PiecewiseAffineMap
         from xfemnav.pipeline.files import read_soup
@@ -127,23 +145,23 @@ class Result:
         return moved_outline(loop, self.motion.rest, self.motion.moved)
 
     @cached_property
-    def update(self):
+    def update(self) -> "Update":
         """What became of each pixel of the slice: an Update, whose image is the organ's mask."""
         return self._updated(self.frame.values)
 
-    def to_preoperative(self, points) -> np.ndarray:
+    def to_preoperative(self, points: ArrayLike) -> np.ndarray:
         """Where the tissue that is now at `points` was in the preoperative image."""
         return self._mapped(points, self.motion.to_preoperative)
 
-    def to_current(self, points, side=None) -> np.ndarray:
+    def to_current(self, points: ArrayLike, side: Side = None) -> np.ndarray:
         """Where the tissue that was at `points` in the preoperative image is now."""
         return self._mapped(points, lambda plane: self.motion.to_current(plane, side_number(side)))
 
-    def displacement(self, points, side=None) -> np.ndarray:
+    def displacement(self, points: ArrayLike, side: Side = None) -> np.ndarray:
         """Displacement, mm, of the tissue that was at `points`."""
         return self.to_current(points, side) - np.asarray(points, float)
 
-    def landmarks(self, points, side=None, *, inverse: bool = False):
+    def landmarks(self, points: ArrayLike, side: Side = None, *, inverse: bool = False) -> "MovedPoints":
         """Landmarks through the motion, each with a flag of what it is in: MovedPoints of `xfemnav.imaging.landmarks`.
 
         From the preoperative image to now, on the lip of `side` where they are on a cut; with `inverse` from now back.
@@ -154,7 +172,7 @@ class Result:
             return resting_points(points, self.frame, self.motion, self.outline)
         return moved_points(points, self.frame, self.motion, self.organ.corners, side_number(side))
 
-    def streamlines(self, path):
+    def streamlines(self, path: AnyPath) -> "MovedStreamlines":
         """The tractogram in a .trk, .trk.gz or .tck file after the motion: MovedStreamlines of
         `xfemnav.imaging.streamlines`."""
         from xfemnav.imaging.streamlines import move_streamlines
@@ -162,7 +180,7 @@ class Result:
 
         return move_streamlines(read_streamlines(path), self.frame, self.motion, self.organ.corners)
 
-    def surface(self, path, *, space: str | None = None):
+    def surface(self, path: AnyPath, *, space: str | None = None) -> "MovedSurface":
         """The surface in a .stl, .vtk, .vtp, .gii, .obj or .ply file after the motion: MovedSurface of
         `xfemnav.imaging.surfaces`.
 
@@ -174,8 +192,18 @@ class Result:
         read = read_surface(path, space=space or self.record["parameters"]["space"])
         return move_surface(read, self.frame, self.motion, self.organ.corners)
 
-    def warp(self, image, *, kind: str | None = None, interp: str = "linear", outside: str = "keep",
-             fill: float | None = None, axes: str = "file", order: str | None = None, nifti_frame: str | None = None):
+    @overload
+    def warp(self, image: AnyPath, *, kind: str | None = ..., interp: str = ..., outside: str = ...,
+             fill: float | None = ..., axes: str = ..., order: str | None = ...,
+             nifti_frame: str | None = ...) -> "nibabel.Nifti1Image": ...
+
+    @overload
+    def warp(self, image: ArrayLike, *, interp: str = ..., outside: str = ...,
+             fill: float | None = ...) -> np.ndarray: ...
+
+    def warp(self, image: AnyPath | ArrayLike, *, kind: str | None = None, interp: str = "linear",
+             outside: str = "keep", fill: float | None = None, axes: str = "file", order: str | None = None,
+             nifti_frame: str | None = None) -> "nibabel.Nifti1Image | np.ndarray":
         """Another image of the patient after the motion.
 
         The path of an image on any grid in the preoperative image's world gives a nibabel image on the grid of the
@@ -208,7 +236,7 @@ class Result:
                            "the run's image", own):
             warn("W114", text)
 
-    def write_transform(self, path, *, gaps: str = "bridged", direction: str = "backward") -> None:
+    def write_transform(self, path: AnyPath, *, gaps: str = "bridged", direction: str = "backward") -> None:
         """Write the motion as a file for other programs: .h5 (an ITK transform), .nrrd or .nii.gz (fields).
 
         `direction`: "backward" maps places in the updated slice to the preoperative one, as resampling an image needs;
@@ -245,7 +273,7 @@ class Result:
                       now=enclosed(self.outline, *grid))
 
     @cached_property
-    def _pull_back(self):
+    def _pull_back(self) -> "PullBack":
         from xfemnav.imaging.warp import pull_back
 
         frame = self.frame

@@ -9,10 +9,12 @@ import math
 import os
 import re
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator, model_validator
+from pydantic.fields import FieldInfo
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import decoded
@@ -407,7 +409,7 @@ def _told(item: dict, flags: dict[str, str]) -> str:
     place = ".".join(str(part) for part in item["loc"])
     flag = f" ({flags[place]})" if place in flags else ""
     if item["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(str(item["loc"][-1]), _names_at(item["loc"][:-1]), 1, 0.5)
+        near = difflib.get_close_matches(str(item["loc"][-1]), _section_at(item["loc"][:-1]).model_fields, 1, 0.5)
         return f"{place}: unknown key" + (f", did you mean '{near[0]}'?" if near else "")
     text = item["msg"].removeprefix("Value error, ")
     shown = item.get("input")
@@ -415,13 +417,19 @@ def _told(item: dict, flags: dict[str, str]) -> str:
     return f"{place}{flag}: {text[0].lower()}{text[1:]}{got}" if place else text
 
 
-def _names_at(location: tuple) -> list[str]:
-    """Valid keys of the section at `location`."""
+def field_at(place: str) -> FieldInfo:
+    """The key at a place of the scenario, such as 'slice.index' or 'companion.*.axes'."""
+    *sections, name = place.split(".")
+    return _section_at(sections).model_fields[name]
+
+
+def _section_at(location: Sequence) -> type[Section]:
+    """The section at `location`."""
     section = Scenario
     for part in location:
         if part in section.model_fields:  # else a place in an array, or a label
             section = _section_of(section.model_fields[part].annotation)
-    return list(section.model_fields)
+    return section
 
 
 def _section_of(annotation) -> type[Section] | None:

@@ -5,15 +5,24 @@ image and forces. The answers are those of a run with the same cut and lips, to 
 """
 
 from functools import cached_property
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.pipeline.config import configure
-from xfemnav.pipeline.flags import numbers
+from xfemnav.pipeline.flags import AnyPath, Drawn, Flags, numbers
 from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.parameters import BLADE
-from xfemnav.pipeline.result import SIDES, side_number
+from xfemnav.pipeline.result import SIDES, Side, side_number
+from xfemnav.pipeline.signatures import own_names, takes_flags
+
+if TYPE_CHECKING:
+    from xfemnav.geometry.affine_map import PiecewiseAffineMap
+    from xfemnav.geometry.mesh import Mesh
+    from xfemnav.imaging.slices import Slice
+    from xfemnav.mechanics.solution import RetractorForce
 
 NAME = "cut"
 INTERP, OUTSIDE = ("linear", "cubic", "nearest"), ("keep", "zero")
@@ -44,7 +53,13 @@ class Session:
     6 mm apart
     """
 
-    def __init__(self, image=None, *, corridor=None, scenario=None, reach_mm: float = 6.0, **flags):
+    frame: "Slice | None"
+    mesh: "Mesh"
+
+    @takes_flags
+    def __init__(self, image: "AnyPath | Mesh | None" = None, *, corridor: Drawn | None = None,
+                 scenario: AnyPath | None = None, reach_mm: float = 6.0, **flags: Unpack[Flags]) -> None:
+        """Segment, mesh and condense the organ."""
         from xfemnav.geometry.mesh import Mesh
 
         settle_kernel_cache()  # before kernels are imported
@@ -52,17 +67,18 @@ class Session:
             raise XfemnavError("E780", "corridor and cut both say where cuts are planned: give the corridor alone.")
         if not (isinstance(reach_mm, int | float) and 0 < reach_mm < np.inf):
             raise XfemnavError("E780", f"reach_mm is {reach_mm!r}, wanted a positive number, mm.")
-        given = flags if corridor is None else flags | {"cut": corridor}
+        given = dict(flags) if corridor is None else dict(flags) | {"cut": corridor}
         organ = image if isinstance(image, Mesh) else None
         # A mesh stands in for the image that it was made of: no file is read.
-        config = configure("organ" if organ is not None else image, scenario, given, until="mesh")
+        config = configure("organ" if organ is not None else image, scenario, given, until="mesh",
+                           own=own_names(Session.__init__))
         self._settings, self._warp, self.reach_mm = config.constrain, config.warp, reach_mm
         _refuse(config)
         self.frame, self.mesh, self._material, self._border, plan = _prepared(config, organ)
         self._condense(self._placed(plan))
         self._incision = self._drawn = self._asked = None
 
-    def cut(self, path) -> None:
+    def cut(self, path: str | ArrayLike) -> None:
         """Cut along a path, from the surface inwards, in the place of the cut before; the blades keep what they do.
 
         Raises what a run would of the cut (E301 to E305), and E314 when it goes right through; then the cut before
@@ -76,12 +92,13 @@ class Session:
             self.__dict__.update(before)
             raise
 
-    def extend_cut(self, point) -> None:
+    def extend_cut(self, point: ArrayLike) -> None:
         """Lengthen the cut to a point."""
         self._refuse_uncut()
         self.cut(np.vstack([self._drawn, self._rows(point)]))
 
-    def open(self, left=None, right=None, *, blade: tuple[float, float] | None = None) -> None:
+    def open(self, left: ArrayLike | None = None, right: ArrayLike | None = None, *,
+             blade: tuple[float, float] | None = None) -> None:
         """Move the lips: (dx, dy) plane mm, or one number, mm away from the other lip; None leaves a lip to itself.
 
         Each blade holds the part `blade` of the cut, from the mouth; 0 to .8 of it, or as much as stays two elements
@@ -94,20 +111,20 @@ class Session:
         self._move(*asked, at_once=False)
         self._asked = asked
 
-    def displacement(self, points, side=None) -> np.ndarray:
+    def displacement(self, points: ArrayLike, side: Side = None) -> np.ndarray:
         """Displacement, mm, of the tissue that was at `points`."""
         return self.to_current(points, side) - np.asarray(points, float)
 
-    def to_current(self, points, side=None) -> np.ndarray:
+    def to_current(self, points: ArrayLike, side: Side = None) -> np.ndarray:
         """Where the tissue that was at `points` in the preoperative image is now."""
         return self._mapped(points, lambda plane: self._motion.to_current(plane, side_number(side)))
 
-    def to_preoperative(self, points) -> np.ndarray:
+    def to_preoperative(self, points: ArrayLike) -> np.ndarray:
         """Where the tissue that is now at `points` was in the preoperative image."""
         return self._mapped(points, self.motion.to_preoperative)
 
     @property
-    def motion(self):
+    def motion(self) -> "PiecewiseAffineMap":
         """The map of the tissue, in plane coordinates: a PiecewiseAffineMap, as that of a run."""
         return self._motion.all
 
@@ -123,7 +140,8 @@ class Session:
 
         return inverted_area(self._soup.rest, self._motion.moved)
 
-    def image(self, values=None, *, interp: str | None = None, outside: str | None = None, fill: float | None = None):
+    def image(self, values: ArrayLike | None = None, *, interp: str | None = None, outside: str | None = None,
+              fill: float | None = None) -> np.ndarray:
         """The slice as it looks now, (n1, n2) along e1 and e2; or other `values` on its grid, a companion."""
         from xfemnav.imaging.background import asked_blank
         from xfemnav.imaging.warp import pull_back, update
@@ -147,7 +165,7 @@ class Session:
         blank = asked_blank(values, self._at_rest, *how, own.fill if fill is None else fill)
         return update(values, *grid[:2], self._at_rest, self._pulled, *how, blank).updated
 
-    def forces(self) -> dict:
+    def forces(self) -> "dict[str, RetractorForce]":
         """What each blade does: {"left": RetractorForce, ...}, mN per mm of thickness, kPa."""
         return dict(self._forces)
 
