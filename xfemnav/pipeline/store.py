@@ -27,11 +27,13 @@ def save(folder: Path, value) -> None:
     arrays: dict[str, np.ndarray] = {}
     tree = _encode(value, "v", arrays)
     (folder / TREE).write_text(json.dumps(tree, sort_keys=True, separators=(",", ":")))
-    with zipfile.ZipFile(folder / ARRAYS, "w") as archive:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
         for name, array in arrays.items():
             header = io.BytesIO()
             np.lib.format.write_array(header, array, allow_pickle=False)
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", EPOCH), header.getvalue())
+    (folder / ARRAYS).write_bytes(packed.getbuffer())
 
 
 def load(folder: Path):

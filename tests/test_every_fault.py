@@ -1,0 +1,73 @@
+"""A fault at any call that changes a file: no bug, no crash, no wrong file, and the same command ends as if nothing had
+been.
+
+`pytest -s -m slow tests/test_every_fault.py` takes every call in turn, through a library that stands between the
+program and the system, and prints how many there were.
+"""
+
+import errno
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+from faults.battery import HALF, WRITES, Battery, Fault
+from faults.commands import COMMANDS, remember
+from faults.within import Here
+
+SCRIPT = Path(__file__).parent / "faults" / "everywhere.py"
+HOW = (errno.ENOSPC, errno.EIO, errno.EACCES, HALF)
+
+
+def test_faults_at_60_random_calls(tmp_path, monkeypatch, capsys):
+    """Through what stands between Python and the system, in this process."""
+    rng, battery = random.Random(60), Battery(Here(tmp_path / "bench", monkeypatch))
+    monkeypatch.chdir(tmp_path)
+    remember(monkeypatch.setattr)
+    found = [battery.undisturbed(command) for command in COMMANDS]
+    for true in rng.choices(found, [len(true.calls) for true in found], k=60):
+        how = rng.choice(HOW)
+        numbers = [n for n, call in enumerate(true.calls, 1) if how != HALF or call.split()[0] in WRITES]
+        if numbers:
+            battery.fault(true, Fault(rng.choice(numbers), how))
+    with capsys.disabled():
+        print(dict(battery.found), end=" ")
+    assert not battery.failed, "\n".join(battery.failed)
+    assert battery.found["exit 73"] > 5 and battery.found["exit 74"] > 5 and battery.found["reruns"] > 5
+
+
+@pytest.fixture(scope="session")
+def shim(tmp_path_factory):
+    """The library that stands between the program and the system; where nothing can build it, there is none."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler (cc) to build the shim with")
+    built = tmp_path_factory.mktemp("shim") / "shim.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-O2", "-o", built, SCRIPT.with_name("shim.c"), "-ldl"], check=True)
+    return built
+
+
+@pytest.fixture
+def quick_folder(tmp_path):
+    """A folder in memory where there is one: an fsync on a disk takes longer than all else."""
+    memory = Path("/dev/shm")
+    if not os.access(memory, os.W_OK):
+        yield tmp_path / "bench"
+        return
+    with tempfile.TemporaryDirectory(dir=memory) as folder:
+        yield Path(folder) / "bench"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["ENOSPC", "EIO", "EACCES", "half", "kill", "ENOSPC on", "EIO on"])
+def test_a_fault_at_every_call(shim, how, quick_folder, capsys):
+    """Each in turn: the disk is full, broken or closed, once or from then on; half is written; the process dies."""
+    done = subprocess.run([sys.executable, SCRIPT, shim, how, quick_folder], capture_output=True, text=True,
+                          env=os.environ | {"LD_PRELOAD": str(shim)})
+    with capsys.disabled():
+        print("\n" + "\n".join(line for line in done.stdout.splitlines() if " calls " in line or " faults: " in line))
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
