@@ -403,6 +403,18 @@ def test_cache_can_be_listed_verified_and_pruned(head, capfd):
     assert not list((head.parent / "cache").rglob("facts.json"))
 
 
+@pytest.mark.parametrize("name", ["report.html", "public/figure.png", "public/mesh.vtu"])
+def test_a_damaged_entry_is_told_with_its_code_whatever_it_holds(head, capfd, name):
+    drawn = [each for each in command(head) if each != "--no-report"]
+    assert xfemnav(capfd, *drawn)[0] == 0
+    damaged, = (head.parent / "cache" / "entries").glob(f"*/*/{name}")
+    damaged.write_bytes(b"")
+    code, _, stderr = xfemnav(capfd, *drawn)
+    told = json.loads((head.parent / "head_xfemnav" / "run.json").read_text())["warnings"]
+    assert code == 0 and [item["code"] for item in told] == ["W601"]
+    assert [line.split()[0] for line in stderr.splitlines()] == ["W601"]
+
+
 def test_check_lists_every_problem(head, capfd):
     path = head.parent / "case.toml"
     path.write_text('xfemnav = 1\nimage = "head.nii.gz"\n[[cut]]\npoints = [[0, 0], [1, 1]]\n')

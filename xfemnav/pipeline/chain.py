@@ -84,6 +84,7 @@ class Chain:
         for step in range(len(self.config.steps)):
             self.inputs.step = step
             found.append(self._stage(FIGURE, None, self.force_from == ORDER[0]))
+            self.warned += found[-1].warnings
         return found
 
     def safe_part(self) -> float | None:

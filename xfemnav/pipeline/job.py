@@ -17,7 +17,7 @@ from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, page_key
 from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.disk import writing
-from xfemnav.pipeline.inputs import STEPWISE, Done, Warned
+from xfemnav.pipeline.inputs import STEPWISE, Done, Warned, recorded
 from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 from xfemnav.pipeline.scenario_file import placed, scenario_text
@@ -120,18 +120,21 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
     if chain.config.strict and chain.warned:
         first = chain.warned[0]
         raise XfemnavError(first.code, f"{first.text} (--strict makes warnings errors)")
+    wanted = options.report and options.until == "warp"
+    drawn = chain.draw() if wanted else []
     record = _reported(chain, record) | {"status": "complete", "exit_code": 0}
     if faults:
         record |= _untrusted(chain, faults)
     files = {}
     for label, item in done.items():
         _collect(files, chain.config, label, item)
-    if options.report and options.until == "warp":
-        for k, item in enumerate(chain.draw()):
+    if wanted:
+        for k, item in enumerate(drawn):
             _collect(files, chain.config, chain.inputs.label("warp", k).replace("warp", "figure"), item)
         record["outputs"] = folder.names([*files, "report", "scenario"], files)
         figures = {role: path for role, (path, _) in files.items() if role.partition(":")[0] == "figure"}
         files["report"] = _page(chain, record, figures)
+        record["warnings"] = _warnings(chain)
     checkpoint()
     texts = {"scenario": scenario_text(chain.config.settings, chain.config.named, folder.path)}
     record["outputs"] = folder.publish(files, texts, record, _sidecars(chain))
@@ -218,7 +221,7 @@ def _reported(chain: Chain, record: dict) -> dict:
         "stages": [{"name": done.name} | ({"step": done.step} if done.step else {}) |
                    {"status": done.status, "key": done.entry.key, "seconds": round(done.seconds, 4)}
                    for done in chain.inputs.done.values()],
-        "warnings": [vars(item) for item in dict.fromkeys(chain.warned)],
+        "warnings": _warnings(chain),
         "outputs": {},
     }
     steps: dict[int, dict] = {}
@@ -231,6 +234,11 @@ def _reported(chain: Chain, record: dict) -> dict:
     if len(chain.config.steps) > 1:
         found["steps"] = [_step_record(step, steps.get(k, found)) for k, step in enumerate(chain.config.steps)]
     return {name: fact for name, fact in (record | found).items() if name != "places"}  # the verdicts hold them
+
+
+def _warnings(chain: Chain) -> list[dict]:
+    """What was warned of so far, each once."""
+    return [vars(item) for item in dict.fromkeys(chain.warned)]
 
 
 def _gather(found: dict, facts: dict) -> None:
@@ -265,11 +273,13 @@ def failure(error: BaseException) -> dict:
 
 
 def _page(chain: Chain, record: dict, figures: dict[str, Path]) -> tuple[Path, str]:
-    """The report in the cache, and its sha256."""
+    """The report in the cache, and its sha256; what storing it gives rise to is added to the chain's warnings."""
     def build(folder: Path) -> None:
         from xfemnav.pipeline.report import write_report
 
         write_report(record, folder, figures)
 
-    entry, _ = chain.cache.obtain(page_key(record), build)
+    with recorded() as caught:
+        entry, _ = chain.cache.obtain(page_key(record), build)
+    chain.warned += caught
     return entry.folder / "report.html", entry.files["report.html"]
