@@ -15,17 +15,25 @@ FOLDER = click.option("-w", "--cache", "root", type=FILE, metavar="DIR",
 
 
 @click.command()
-@click.argument("scenario", type=FILE)
+@click.argument("scenario", metavar="SCENARIO|RUN", type=FILE)
 def check(scenario):
-    """List every problem of a SCENARIO file, without running it."""
-    from xfemnav.pipeline.config import scenario_problems
+    """List every problem of a SCENARIO file, without running it; or of a finished RUN, given by its folder: outputs and
+    inputs that are gone, inputs that have changed since."""
+    if scenario.is_dir():
+        from xfemnav.pipeline.reopening import run_problems
 
-    found = scenario_problems(scenario)
+        found = run_problems(scenario)
+        code = found[0].exit_code if found else 0
+    else:
+        from xfemnav.pipeline.config import scenario_problems
+
+        found = scenario_problems(scenario)
+        code = EXIT_CONFIG if found else 0
     for line in found:
-        say(line)
+        say(str(line))
     if not found:
         say(f"{scenario}: no problem found")
-    return EXIT_CONFIG if found else 0
+    return code
 
 
 @click.command()

@@ -1,9 +1,11 @@
 """Rows of runs that are made again or opened again, elsewhere and later."""
 
+import shutil
 import warnings
 
+import numpy as np
 from rows import Row
-from small import CUT, write
+from small import CUT, brain, write
 
 import xfemnav
 
@@ -49,7 +51,46 @@ def allowed(folder):
     return "refused, with the flag and the key that allow it; then it runs", "E781"
 
 
+def moved(folder):
+    """The folder of a run moved with its image, alone, and the image alone; it is changed, and gone."""
+    (folder / "study").mkdir()
+    image = write(folder / "study" / "head.nii.gz")
+    run(folder, image=image, cut=CUT, opening_mm=4.0, output=folder / "study" / "out", **COARSE)
+    shutil.move(folder / "study", folder / "together")
+    assert np.array_equal(opened(folder / "together" / "out"), brain())
+    found = ["with its image"]
+    shutil.move(folder / "together", folder / "study")
+    (folder / "far" / "away").mkdir(parents=True)
+    out = shutil.move(folder / "study" / "out", folder / "far" / "away")
+    assert np.array_equal(opened(out), brain())
+    found.append("alone")
+    now = shutil.move(image, folder / "moved.nii.gz")
+    text = refused("E100", out)
+    assert str(image) in text and str(folder / "far" / "away" / "head.nii.gz") in text and "image=" in text
+    assert np.array_equal(opened(out, image=now), brain())
+    write(image, brain() + 1)
+    refused("E702", out)
+    assert xfemnav.Result.load(out).landmarks([[-20.0, 20.0]]).flag == ("tissue",)
+    return f"opened when moved {' and '.join(found)}; the image moved: E100 with both places; changed: E702", "E100"
+
+
+def opened(folder, **given):
+    """The preoperative slice of a run."""
+    return xfemnav.Result.load(folder, **given).preoperative.values
+
+
+def refused(code, folder) -> str:
+    """What is said of a run whose image cannot be read again."""
+    try:
+        opened(folder)
+    except xfemnav.XfemnavError as error:
+        assert error.code == code
+        return error.message
+    raise AssertionError("opened in silence")
+
+
 ROWS = [
     Row("D7", "a run, made again from what it left", "its settings stood in run.json alone", made_again),
     Row("D7", "a scenario that leads out of its folder", "no way to allow it", allowed),
+    Row("7", "a run moved, its image moved, changed, gone", "nothing told where the image was", moved),
 ]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.config import Config, configure
-from xfemnav.pipeline.flags import CUT_FLAGS, FILE_FLAGS, FLAGS, OF_COMPANIONS
+from xfemnav.pipeline.flags import TABLE
 from xfemnav.pipeline.scenario import Scenario, problems
 from xfemnav.pipeline.scenario_file import placed, scenario_text, seen_from, toml
 from xfemnav.pipeline.scenariodocs import plain_keys, section_of
@@ -150,7 +150,7 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("name", [*FLAGS, *CUT_FLAGS, *FILE_FLAGS, *OF_COMPANIONS])
+@pytest.mark.parametrize("name", TABLE)
 def test_every_flag_is_read_back(home, name):
     """Of the command: a flag that is added to it is here of itself."""
     alone = {"left", "right", "lip_force", "opening_mm"} & {name}

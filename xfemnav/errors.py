@@ -153,6 +153,8 @@ FAULTS: dict[str, Fault] = {
                   "Give an empty folder, or one that is not there yet, with `-w`."),
     # 7xx: other files and settings
     "E701": Fault(65, "file cannot be read", "A file beside the image is not in its format.", "Write it again."),
+    "E702": Fault(65, "input has changed since the run", "A file that the run has read holds something else now, so that the run's motion is not of it.",
+                  "Put the file of then back, or run again with the one of now."),
     "E731": Fault(73, "output would overwrite a file that is not its own",
                   "The output folder holds a file that the run reads, or one of an output's name that no `run.json` there claims.",
                   "Give another `-o`, or move the file."),
@@ -256,6 +258,8 @@ FAULTS: dict[str, Fault] = {
                   "Hold an arc of the outline or a lip."),
     "W601": Fault(0, "damaged cache entry recomputed", "A cached file did not match its checksum.", "Check the disk."),
     "W602": Fault(0, "cache is off", "The cache folder cannot be written.", "Give another folder with `-w`."),
+    "W702": Fault(0, "input has changed since the run", "A run was made again from its `scenario.toml`, and a file of it is not what it was.",
+                  "None, where the change is meant; else put the file of then back."),
 }
 
 

@@ -1,6 +1,5 @@
 """The chain of stages through the cache: each is looked up by its content key, and computed when it is not there."""
 
-import hashlib
 import json
 import os
 import time
@@ -20,7 +19,6 @@ from xfemnav.pipeline.inputs import (
     Done,
     Inputs,
     Warned,
-    bounded_bytes,
     changed,
     drawn_after,
     kind,
@@ -29,9 +27,9 @@ from xfemnav.pipeline.inputs import (
 from xfemnav.pipeline.keys import canonical, digest, file_digest, stage_key
 from xfemnav.pipeline.stage import Stage
 from xfemnav.pipeline.stages import CARRY, FIGURE, IMAGING, SAFE, STAGES
+from xfemnav.pipeline.whereabouts import bytes_digest
 
 FACTS, VALUE = "facts.json", ("value.json", "value.npz")
-ALONE = (".nii", ".nii.gz", ".mgz", ".mgh")  # one file is the image: no library is needed to digest it
 FROM_BYTES = ("streamlines", "surfaces")  # kinds of files that are decoded from the bytes that were digested
 
 
@@ -64,6 +62,14 @@ class Chain:
                 facts, noted = self._facts(role, path)
             self.input_facts[role] = facts
             self.warned += [*caught, *noted]
+        self.warned += [Warned("W702", f"{place}: {self.config.named[place].name} is not what it was when the run was "
+                                       "made whose scenario this is; the result is of what it is now.")
+                        for place in self._changed()]
+
+    def _changed(self) -> list[str]:
+        """Places of inputs that are not what an earlier run knew: neither their bytes nor what is decoded from them."""
+        now = {self.config.places[role]: facts["digest"] for role, facts in self.input_facts.items()}
+        return [place for place, known in self.config.changed.items() if known.content != now.get(place)]
 
     def run(self, until: str = "warp") -> dict[str, Done]:
         """All stages up to `until` of all steps, and what is carried along; by their labels."""
@@ -193,17 +199,8 @@ class Chain:
         return self._image_facts(role, path)
 
     def _raw(self, role: str) -> str:
-        """sha256 of the bytes of an input: of a file, or of all files of an image that may lie in several."""
-        path = self.inputs.files[role]
-        if kind(role) in FROM_BYTES:
-            return hashlib.sha256(bounded_bytes(path, self.config.limit)).hexdigest()
-        alone = kind(role) in ("mesh_file", "points") or path.name.lower().endswith(ALONE)
-        if alone and not os.path.isdir(path):
-            beside = _beside(path) if kind(role) == "points" else None
-            return file_digest(path) if beside is None else digest([file_digest(path), file_digest(beside)])
-        from xfemnav.imaging.reading import content_digest
-
-        return content_digest(path, max_memory_gb=self.config.max_memory_gb)
+        """sha256 of the bytes of an input."""
+        return bytes_digest(self.config.places[role], self.inputs.files[role], self.config.max_memory_gb)
 
     def _image_facts(self, role: str, path: Path) -> tuple[dict, tuple[Warned, ...]]:
         """Digest of the decoded voxels and affine, remembered by the file's name and the digest of its bytes."""
@@ -234,13 +231,6 @@ class Chain:
             read_vtu(path, "E209")  # refuses it, with the reason
         raw = file_digest(path)
         return {"digest": raw, "sha256": raw}, ()
-
-
-def _beside(path: Path) -> Path | None:
-    """The file beside a table of points that says in what frame it counts."""
-    from xfemnav.imaging.coordsystem import beside
-
-    return beside(path)
 
 
 def write_facts(folder: Path, facts: dict, caught: list[Warned]) -> None:

@@ -34,6 +34,7 @@ from xfemnav.pipeline.parameters import (
     Step,
     WarpParams,
 )
+from xfemnav.pipeline.whereabouts import Known, found_again
 
 if TYPE_CHECKING:
     from xfemnav.pipeline.scenario import Scenario
@@ -54,14 +55,17 @@ class Config:
     """A checked run: its input files by role, the parameters of reading and of each stage, and the scenario.
 
     `parameters` is the scenario with all that was left out filled in, `settings` the same without what would read
-    otherwise when it is given (blades), and `named` are all files that it names, by place. `constrain` is the problem
-    of the last step. `also_read` are files whose content the parameters hold: the scenario,
-    the measured boundary, drawn cuts.
+    otherwise when it is given (blades), and `named` are all files that it names, by place; `places` are those of
+    `files`, by role. `changed` are files of a run that is made again, by place, whose bytes are no longer those that it
+    knew. `constrain` is the problem of the last step. `also_read` are files whose content the parameters hold: the
+    scenario, the measured boundary, drawn cuts.
     """
 
     parameters: dict
     settings: dict
     named: dict[str, Path]
+    places: dict[str, str]
+    changed: dict[str, Known]
     files: dict[str, Path]
     also_read: tuple[Path, ...]
     max_memory_gb: float
@@ -111,8 +115,12 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
         found.append("image: no image was given")
     if STAGES.index(until) >= STAGES.index("constrain") and not _moves(raw):
         found.append(NO_CUT)
-    checked = validated(raw, FLAG_OF, tuple(found))
-    return _resolved(checked, files, (Path(scenario),) if scenario is not None else ())
+    checked, changed = validated(raw, FLAG_OF, tuple(found)), {}
+    if scenario is not None:
+        own = {place: path for place, path in files.items() if place not in given}
+        again, changed = found_again(own, Path(scenario), checked.max_memory_gb)
+        files |= again
+    return _resolved(checked, files, changed, (Path(scenario),) if scenario is not None else ())
 
 
 def _with_a_name(path: Path) -> Path:
@@ -143,19 +151,20 @@ def scenario_problems(path: Path) -> list[str]:
     return found
 
 
-def _resolved(s: "Scenario", files: dict[str, Path], also_read: tuple[Path, ...]) -> Config:
+def _resolved(s: "Scenario", files: dict[str, Path], changed: dict, also_read: tuple[Path, ...]) -> Config:
     tips = s.solve.tip_enrichment or ("topological" if s.solve.model == "linear" else "none")
     s = s.model_copy(update={"solve": s.solve.model_copy(update={"tip_enrichment": tips})})
     settings, given = s.model_dump(mode="json", exclude={"xfemnav"}), tuple(r.blade is not None for r in s.retract)
     s = s.model_copy(update={"retract": tuple(_filled(r, s) for r in s.retract)})
     drawn = Drawn.read(s, files)
     carried = tuple(_carried(s, files))
-    roles = {role: files[place] for role, place in ROLES.items() if place in files}
-    roles |= {f"resection:{i}": files[f"resect.{i}.mask"] for i, r in enumerate(s.resect) if r.mask is not None}
-    roles |= {item.role: path for item, path in carried}
+    places = {role: place for role, place in ROLES.items() if place in files}
+    places |= {f"resection:{i}": f"resect.{i}.mask" for i, r in enumerate(s.resect) if r.mask is not None}
+    places |= {item.role: place for item, place in carried}
     held = [path for place, path in files.items() if place == "boundary.displacement" or place.endswith(".markups")]
     return Config(
-        parameters=s.model_dump(mode="json", exclude={"xfemnav"}), settings=settings, named=files, files=roles,
+        parameters=s.model_dump(mode="json", exclude={"xfemnav"}), settings=settings, named=files,
+        places=places, changed=changed, files={role: files[place] for role, place in places.items()},
         also_read=(*also_read, *held),
         max_memory_gb=s.max_memory_gb, strict=s.strict,
         read=ReadParams(s.volume, s.nan, s.spacing, s.nifti_frame),
@@ -207,7 +216,7 @@ def _path(points, markup: str | None, space: str, file: Path | None, smooth: boo
 
 
 def _carried(s: "Scenario", files: dict[str, Path]):
-    """What goes with the image, and its file; what would be called as another gets a number."""
+    """What goes with the image, and its place; what would be called as another gets a number."""
     from xfemnav.pipeline.runfile import public_name, stem
 
     listed = [("companion", item.kind, item.axes, item.order, f"companion.{i}.image")
@@ -222,7 +231,7 @@ def _carried(s: "Scenario", files: dict[str, Path]):
             number += 1
             own = f"{role}:{base}-{number}"
         taken |= {own, called, f"{role}:{base}"}
-        yield CompanionParams(own, files[place].name, kind, axes, order), files[place]
+        yield CompanionParams(own, files[place].name, kind, axes, order), place
 
 
 def _filled(r, s: "Scenario"):

@@ -12,7 +12,7 @@ from pathlib import Path
 from xfemnav import __version__
 from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
 from xfemnav.interruption import Interrupted, checkpoint
-from xfemnav.pipeline import stage_carry
+from xfemnav.pipeline import stage_carry, whereabouts
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, page_key
 from xfemnav.pipeline.config import Config
@@ -23,6 +23,7 @@ from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 from xfemnav.pipeline.scenario_file import placed, scenario_text
 from xfemnav.pipeline.stage_safe import told
 from xfemnav.pipeline.verdicts import doubts, reasons, stillness, verdicts
+from xfemnav.pipeline.whereabouts import bytes_digest
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
         try:
             return _run(chain, options, folder, record)
         except BaseException as error:
-            record = _reported(chain, record) | failure(error)
+            record = _reported(chain, output, record) | failure(error)
             folder.write_failure(record)
             listener.failed(record)
             raise
@@ -122,7 +123,7 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
         raise XfemnavError(first.code, f"{first.text} (--strict makes warnings errors)")
     wanted = options.report and options.until == "warp"
     drawn = chain.draw() if wanted else []
-    record = _reported(chain, record) | {"status": "complete", "exit_code": 0}
+    record = _reported(chain, folder.path, record) | {"status": "complete", "exit_code": 0}
     if faults:
         record |= _untrusted(chain, faults)
     files = {}
@@ -213,10 +214,20 @@ def _roles(config: Config) -> dict[str, str]:
     return found
 
 
-def _reported(chain: Chain, record: dict) -> dict:
+def _inputs(chain: Chain, folder: Path) -> dict:
+    """Where the inputs lie, as seen from the output folder and altogether, and the digests of those that were read."""
+    config, known = chain.config, {}
+    for role, facts in chain.input_facts.items():
+        decoded = {"content": facts["digest"]} if "affine" in facts else {}
+        known[config.places[role]] = {"sha256": facts["sha256"]} | decoded
+    return whereabouts.told(config.named, folder, known, partial(bytes_digest, max_memory_gb=config.max_memory_gb))
+
+
+def _reported(chain: Chain, folder: Path, record: dict) -> dict:
     """`record` with what the stages that finished have reported."""
     image = chain.input_facts.get("image")
     found = {
+        "inputs": _inputs(chain, folder),
         "input": image and {name: image[name] for name in ("sha256", "shape", "affine", "dtype")},
         "stages": [{"name": done.name} | ({"step": done.step} if done.step else {}) |
                    {"status": done.status, "key": done.entry.key, "seconds": round(done.seconds, 4)}

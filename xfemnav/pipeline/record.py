@@ -53,6 +53,13 @@ class _Error(_Part):
     text: str
 
 
+class _Input(_Part):
+    path: Annotated[str, Field(min_length=1)]
+    absolute: Annotated[str, Field(min_length=1)]
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] = ""
+    content: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] = ""
+
+
 class _Record(_Part):
     status: Literal["complete", "untrusted", "failed", "interrupted"]
     outputs: dict[str, Annotated[str, AfterValidator(_own_name)]]
@@ -60,6 +67,7 @@ class _Record(_Part):
     parameters: _Parameters | None = None
     cuts: list[_Cut] | None = None
     steps: list[_Step] = []
+    inputs: dict[str, _Input] = {}
     error: _Error | None = None
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ from xfemnav.pipeline.disk import write_atomic
 from xfemnav.pipeline.flags import AnyPath, Flags
 from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.record import read_record
+from xfemnav.pipeline.reopening import preoperative_slice
 from xfemnav.pipeline.signatures import own_names, takes_flags
 
 if TYPE_CHECKING:
@@ -87,17 +88,21 @@ class Result:
     it is after `step`, the last one unless another is named.
     """
 
-    def __init__(self, folder: Path, record: dict[str, Any], step: str | None = None):
+    def __init__(self, folder: Path, record: dict[str, Any], step: str | None = None, image: AnyPath | None = None):
         if "solution" not in record["outputs"]:
             raise XfemnavError("E701", f"the run in {folder} ({record['status']}) has no solution. Run it again.")
-        self.folder, self.record = Path(folder), record
+        self.folder, self.record, self._image = Path(folder), record, image
         self._solution, self._cuts = _step_of(record, step)
         settle_kernel_cache()  # before `motion` imports kernels
 
     @classmethod
-    def load(cls, folder: AnyPath, step: str | None = None) -> "Result":
-        """The result in an output folder, after a step of the run. Raises E100, E701, and E780 for an unknown step."""
-        return cls(Path(folder), read_record(Path(folder)), step)
+    def load(cls, folder: AnyPath, step: str | None = None, *, image: AnyPath | None = None) -> "Result":
+        """The result in an output folder, after a step of the run.
+
+        It needs nothing but that folder, wherever it is now; only `preoperative` reads the run's image again, which is
+        at `image` where it has been moved. Raises E100, E701, and E780 for an unknown step.
+        """
+        return cls(Path(folder), read_record(Path(folder)), step, image)
 
     @property
     def trusted(self) -> bool:
@@ -117,6 +122,15 @@ class Result:
 
         mask = read_image(self._path("mask"), nifti_frame=self.nifti_frame)
         return take_slice(mask, plane=self.record["slice"]["plane"])
+
+    @cached_property
+    def preoperative(self) -> "Slice":
+        """The slice before surgery, an imaging Slice: the run's image, read again.
+
+        Raises E100 where it is neither where it lay from the run's folder nor where it lay at all, and E702 where it is
+        not what the run has read.
+        """
+        return preoperative_slice(self.record, self.folder, self._image)
 
     @cached_property
     def organ(self) -> "Mesh":

@@ -18,17 +18,18 @@ HEAD = f"# The settings of this run, defaults filled in. The same again: {AGAIN}
 UNSAYABLE = "# TOML holds UTF-8 alone, and the name of this file is none, so give it again: {place} = {name}\n"
 
 
-def seen_from(folder: Path, path: Path) -> str:
-    """The path of a file from a folder, with /; its whole path where none leads there (another drive).
+def whole(path: Path) -> str:
+    """The path of a file from the root. Links to folders are followed, since '..' is where a link leads; the file keeps
+    its own name, of which outputs are called."""
+    return os.path.join(os.path.realpath(path.parent), path.name)
 
-    Links to folders are followed, since '..' is where a link leads; the file keeps its own name, of which outputs are
-    called.
-    """
-    whole = os.path.join(os.path.realpath(path.parent), path.name)
+
+def seen_from(folder: Path, path: Path) -> str:
+    """The path of a file from a folder, with /; its whole path where none leads there (another drive)."""
     try:
-        found = os.path.relpath(whole, os.path.realpath(folder))
+        found = os.path.relpath(whole(path), os.path.realpath(folder))
     except ValueError:
-        found = whole
+        found = whole(path)
     return found.replace(os.sep, "/")
 
 
