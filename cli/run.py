@@ -125,6 +125,8 @@ RUNNING = (
     click.option("--threads", type=click.IntRange(1), metavar="N", help="Threads for the numeric libraries."),
 )
 WHOLE = (
+    click.option("--display", type=_choice("neurological", "radiological"),
+                 help="Of figure and report: the patient's left on the viewer's left, or right.  [neurological]"),
     click.option("--stop-after", type=_choice(*STAGES), help="End after this stage."),
     click.option("--no-report", is_flag=True, help="No figure and no report."),
 )

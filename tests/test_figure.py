@@ -7,17 +7,18 @@ from types import SimpleNamespace
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.spatial import Delaunay
 
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.pipeline import figure
+from xfemnav.pipeline import display, figure
 
 RADIUS, MOUTH, TIP = 60.0, np.array([0.0, 60.0]), np.array([0.0, 20.0])
 
 
-def cut(*path):
-    return SimpleNamespace(path=np.array(path, float))
+def cut(*path, name="cut"):
+    return SimpleNamespace(path=np.array(path, float), name=name)
 
 
 def enriched(heaviside_nodes, tip_nodes):
@@ -82,29 +83,72 @@ def test_a_pixel_is_drawn_at_its_place_in_the_plane(run):
     assert image.origin == "lower" and panel.get_ylim()[0] < panel.get_ylim()[1], "e2 points upwards"
 
 
-@pytest.mark.parametrize("travel, left", [((0, -1), (1, 0)), ((0, 1), (-1, 0)), ((1, 0), (0, 1)), ((-1, 0), (0, -1))])
-def test_left_is_left_when_walking_from_the_mouth_to_the_tip(travel, left):
+WORLD = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # axes R A S of e1, e2, normal
+
+
+def axes_of(plane):
+    return np.eye(3)[list(WORLD[plane])]
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("travel, left, letters", [((0, -1), (1, 0), "RL"), ((0, 1), (-1, 0), "LR"),
+                                                   ((1, 0), (0, 1), "AP"), ((-1, 0), (0, -1), "PA")])
+def test_lips_are_named_by_the_patients_sides_that_they_lie_towards(travel, left, letters, inverted):
+    """'left' when walking from the mouth to the tip is `left`; each name stands on its own side on the screen too."""
     panel = Figure().subplots()
-    figure._name_lips(panel, cut((0, 0), travel), 10, "black", "white")
+    figure._look_at(panel, np.array([[-1.0, -1.0], [1.0, 1.0]]), inverted)
+    figure._name_lips(panel, cut((0, 0), travel), np.eye(3), 10, "black", "white")
     offsets = {text.get_text(): np.array(text.xyann) for text in panel.texts}
-    np.testing.assert_allclose(offsets["left"] / np.linalg.norm(offsets["left"]), left, atol=1e-12)
-    np.testing.assert_allclose(offsets["right"], -offsets["left"], atol=1e-12)
+    shown = np.array(left) * ([-1, 1] if inverted else 1)
+    np.testing.assert_allclose(offsets[f"{letters[0]} lip"], 10 * shown, atol=1e-12)
+    np.testing.assert_allclose(offsets[f"{letters[1]} lip"], -10 * shown, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis, ends", [((1, 0, 0), "LR"), ((0, 1, 0), "PA"), ((0, 0, 1), "IS"), ((-1, 0, 0), "RL"),
                                         ((0, 0.9, 0.43), "PA")])
 def test_letters_of_the_patients_sides(axis, ends):
-    assert figure._ends(np.array(axis)) == ends
+    assert display.ends(np.array(axis)) == ends
 
 
-def test_caption_says_how_the_slice_is_shown():
-    def caption(plane, e1, e2):
-        axes = np.stack([np.eye(3)[e1], np.eye(3)[e2], np.cross(np.eye(3)[e1], np.eye(3)[e2])])
-        return figure._caption(SimpleNamespace(plane=plane, offset=1.0, axes=axes))
+@pytest.mark.parametrize("plane, way, letters, words", [
+    ("axial", "neurological", "LRPA", "neurological display: the patient's left on the left, anterior at the top"),
+    ("axial", "radiological", "RLPA", "radiological display: the patient's right on the left, anterior at the top"),
+    ("coronal", "neurological", "LRIS", "neurological display: the patient's left on the left, superior at the top"),
+    ("coronal", "radiological", "RLIS", "radiological display: the patient's right on the left, superior at the top"),
+    ("sagittal", "neurological", "PAIS", "anterior on the right, superior at the top"),
+    ("sagittal", "radiological", "PAIS", "anterior on the right, superior at the top")])
+def test_letters_and_caption_say_how_the_slice_is_shown(plane, way, letters, words):
+    assert "".join(display.edges(plane, axes_of(plane), way)) == letters
+    shown = SimpleNamespace(plane=plane, offset=1.0, axes=axes_of(plane))
+    caption = figure._caption(shown, [cut((0, 9), (0, 0), name="a"), cut((9, 0), (0, 0), name="b")], way)
+    assert caption[0].startswith(f"{plane} slice at 1.0 mm, {words}.")
+    east, south = "A" if plane == "sagittal" else "R", "P" if plane == "axial" else "I"
+    where = " in neurological display" if letters[0] == "R" else ""
+    assert caption[1] == (f"Left and right of a cut are seen from its mouth{where}: left of 'a' is the {east} lip; "
+                          f"left of 'b' is the {south} lip.")
+    assert len(figure._caption(shown, [], way)) == 1
 
-    assert "neurological display, the patient's right is on the right, anterior at the top" in caption("axial", 0, 1)
-    assert "neurological display, the patient's right is on the right, superior at the top" in caption("coronal", 0, 2)
-    assert "; anterior is on the right, superior at the top" in caption("sagittal", 1, 2)
+
+@pytest.mark.parametrize("way", ["neurological", "radiological"])
+@pytest.mark.parametrize("plane", ["axial", "coronal", "sagittal"])
+def test_a_mark_is_drawn_on_the_side_of_its_letter(run, plane, way):
+    """A bright mark on the patient's right (in sagittal slices: in front) lies on that letter's side in the pixels of
+    (a) and (d)."""
+    slice_, mask, problem, solution, update = run
+    mark = np.where(mask, 100.0, 0.0)
+    mark[-30:-20, 25:32] = np.where(mask, 1e6, 0.0)[-30:-20, 25:32]
+    marked = SimpleNamespace(**{**vars(slice_), "values": mark, "plane": plane, "axes": axes_of(plane)})
+    drawn = SimpleNamespace(**{**vars(update), "updated": mark})
+    canvas = FigureCanvasAgg(found := figure._drawn(marked, mask, problem, solution, drawn, way))
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3].min(axis=2)
+    for panel in (found.axes[0], found.axes[3]):
+        x, y = panel.transAxes.transform([[0.1, 0.2], [0.9, 0.8]]).round().astype(int).T
+        inside = pixels[len(pixels) - y[1]:len(pixels) - y[0], x[0]:x[1]]  # without letters and scale bar
+        column = np.argwhere(inside > 250)[:, 1].mean() / inside.shape[1]
+        letter = next(text for text in panel.texts if text.get_text() == ("A" if plane == "sagittal" else "R"))
+        assert (column > 0.5) == (letter.get_position()[0] > 0.5), (column, letter.get_position())
+        assert (column > 0.5) == (plane == "sagittal" or way == "neurological")
 
 
 def test_close_view_holds_every_cut_in_the_shape_of_the_whole():
@@ -123,10 +167,14 @@ def test_inset_keeps_away_from_every_cut():
 
     box = np.array([[0.0, 0.0], [100.0, 100.0]])
     upper_left, lower_right = cut((10, 90), (30, 70)), cut((70, 20), (90, 30))
-    x, y = figure._emptiest_corner(box, lines(upper_left, cut((60, 90), (90, 60)), lower_right))
+    panel = Figure().subplots()
+    x, y = figure._emptiest_corner(panel, box, lines(upper_left, cut((60, 90), (90, 60)), lower_right))
     assert x < 0.5 and y < 0.5
-    x, y = figure._emptiest_corner(box, lines(upper_left, cut((10, 30), (30, 10)), lower_right))
+    x, y = figure._emptiest_corner(panel, box, lines(upper_left, cut((10, 30), (30, 10)), lower_right))
     assert x > 0.5 and y > 0.5
+    figure._look_at(panel, box, True)
+    x, y = figure._emptiest_corner(panel, box, lines(upper_left, cut((10, 30), (30, 10)), lower_right))
+    assert x < 0.5 and y > 0.5
 
 
 def test_grey_window_holds_the_organ_and_a_background_that_is_near(run):

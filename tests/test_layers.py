@@ -31,6 +31,7 @@ HOMES = {
     "meshio": {"pipeline", "imaging"},  # imaging: the self-test of surfaces alone, which other programs must read
     "matplotlib": {"pipeline"},
     "jinja2": {"pipeline"},
+    "PIL": {"pipeline"},
     "pydantic": {"pipeline"},
     "rich": {"cli"},
     "click": {"cli"},

@@ -2,15 +2,21 @@
 
 import copy
 import json
+import os
 from html.parser import HTMLParser
+from io import BytesIO
 from typing import get_args
+from urllib.parse import unquote_to_bytes, urlsplit
 
+import numpy as np
 import pytest
+from matplotlib import colormaps
+from PIL import Image
 
 from xfemnav.errors import FAULTS
-from xfemnav.pipeline import methods
+from xfemnav.pipeline import methods, palette
 from xfemnav.pipeline.methods import methods_paragraph
-from xfemnav.pipeline.report import MMHG_PER_KPA, flat, render, retractor_row, write_report
+from xfemnav.pipeline.report import MMHG_PER_KPA, UNCHECKED, checked, flat, render, retractor_row, write_report
 from xfemnav.pipeline.scenario import Scenario
 
 EVIL = "<img src=x onerror=alert(1)>"
@@ -33,7 +39,7 @@ def run():
         "stages": [{"name": "segment", "status": "ran", "key": "ab" * 32, "seconds": 1.2345}],
         "outputs": {"updated": "sub-01_desc-updated_T1w.nii.gz"},
         "input": {"sha256": "cd" * 32, "shape": [197, 233, 1], "affine": [[1.0, 0.0, 0.0, -98.0]], "dtype": "int16"},
-        "slice": {"plane": "axial", "offset": 18.0, "shape": [197, 233]},
+        "slice": {"plane": "axial", "offset": 18.0, "shape": [197, 233], "axes": np.eye(3).tolist()},
         "segmentation": {"method": "vote", "area_mm2": 15000.0},
         "resections": [], "pieces": [{"name": "organ", "area_mm2": 15000.0, "place_mm": [0.0, 0.0], "fate": "fixed"}],
         "contact": [],
@@ -95,10 +101,56 @@ def test_the_page_needs_nothing_and_may_run_nothing(run):
     page = Tags(render(run, {"figure": PNG}))
     names = {tag for tag, _ in page.tags}
     assert not names & {"script", "link", "iframe", "object", "embed", "form", "base"}
-    links = [attrs[name] for _, attrs in page.tags for name in ("src", "href", "action") if name in attrs]
-    assert all(link.startswith("data:") for link in links)
+    links = [attrs[name] for tag, attrs in page.tags for name in ("src", "href", "action") if name in attrs]
+    assert all(link.startswith("data:") or link in run["outputs"].values() for link in links)
     policy = next(attrs["content"] for tag, attrs in page.tags if attrs.get("http-equiv") == "Content-Security-Policy")
     assert policy.startswith("default-src 'none'") and "script" not in policy
+
+
+@pytest.mark.parametrize("name", ["sub-01_T1w.nii.gz", "a b&c\"<d>.nii", "javascript:alert(1).nii",
+                                  "caf\udce9.nii", "a#b?c%d"])
+def test_files_are_linked_by_name_whatever_is_in_it(run, name):
+    run["outputs"] = {"updated": name}
+    links = [attrs["href"] for tag, attrs in Tags(render(run, {})).tags if tag == "a"]
+    assert len(links) == 1 and urlsplit(links[0])[:2] == ("", "") and unquote_to_bytes(links[0]) == os.fsencode(name)
+
+
+def test_complete_says_what_was_checked_and_what_was_not(run):
+    text = Tags(render(run, {})).text
+    assert "of 1 checks with a limit none says that the result is not to be trusted. Not checked: whether the" in text
+    run["verdicts"]["main_strain"] = {"value": 0.2, "limit": 0.1, "verdict": "look"}
+    assert "of 2 checks with a limit none says that the result is not to be trusted, 1 of them beyond" in checked(run)
+    for word in UNCHECKED:
+        assert word in text
+    run |= {"status": "untrusted", "error": {"code": "E401", "text": "folded"}}
+    assert "Not checked" not in Tags(render(run, {})).text
+
+
+def test_the_page_says_which_way_round_it_shows_the_slice(run):
+    """Lips are never told by 'left lip': the patient's left is another one."""
+    text = Tags(render(run, {"figure": PNG})).text
+    assert "Neurological display: the patient's left on the left, anterior at the top. Left and right of a cut" in text
+    assert "left of 'approach' is the A lip" in text
+    run["parameters"]["display"] = "radiological"
+    text = Tags(render(run, {"figure": PNG})).text
+    assert "Radiological display: the patient's right on the left, anterior at the top." in text
+    assert "seen from its mouth in neurological display: left of 'approach' is the A lip" in text
+    assert "left lip" not in text.lower() and "right lip" not in text.lower()
+
+
+def test_pictures_of_pages_are_small_and_true():
+    """A figure of greys, the displacement's colours and lines, in 256 colours: the same to the eye."""
+    grey = np.linspace(0, 255, 300)[None, :, None].repeat(90, axis=0).repeat(3, axis=2)
+    shades = 255 * colormaps["viridis"](np.linspace(0, 1, 300))[None, :, :3].repeat(90, axis=0)
+    lines = np.concatenate([np.full((30, 75, 3), line) for line in palette.LINES], axis=1)
+    drawn = np.concatenate([grey, shades, lines]).astype(np.uint8)
+    png = BytesIO()
+    Image.fromarray(drawn).save(png, format="PNG")
+    small = Image.open(BytesIO(palette.reduced(png.getvalue())))
+    assert small.mode == "P" and small.size == (300, 210)
+    assert np.abs(np.asarray(small.convert("RGB")).astype(int) - drawn).max() <= 8
+    assert Image.open(BytesIO(palette.reduced(png.getvalue(), 100))).size == (100, 70)
+    assert palette.reduced(png.getvalue()) == palette.reduced(png.getvalue())
 
 
 def test_same_run_same_page_cached_or_not(run):
@@ -122,7 +174,8 @@ def test_a_warning_comes_with_its_remedy(run):
 def test_pressure_in_mmhg(run):
     """1 mmHg is 133.322 Pa; 2 kPa are 15.0 mmHg. The size of (3, -4) is 5."""
     assert pytest.approx(1000 / 133.322, rel=1e-5) == MMHG_PER_KPA
-    row = retractor_row(run["retractor"][0])
+    row = retractor_row(run["retractor"][0], {"approach": {"left": "A", "right": "P"}})
+    assert row["side"] == "left of it, the A lip"
     assert (row["size"], row["kpa"], row["mmhg"]) == ("5.00", "2.000", "15.0")
 
 
@@ -138,7 +191,8 @@ def test_methods_paragraph_tells_what_another_lab_needs(run):
     for part in ("sub-01_T1w.nii.gz", "xfemnav 9.8.7", "numpy ", "5012 nodes", "9876 linear triangles", "3 kPa",
                  "ratio 0.45", "plane strain", "by 77 nodes", "by the 6 whose support", "10226 degrees",
                  "within 20 mm", "over 4 mm",
-                 "left lip was displaced by (-3.5, -1) mm over 0 to 80 %", "right lip was loaded with (1, 0.5) mN",
+                 "lip left of the cut was displaced by (-3.5, -1) mm over 0 to 80 %",
+                 "lip right of the cut was loaded with (1, 0.5) mN",
                  "mortar", "3.64 mm", "linear interpolation", "40.3 mm long", "(-54.7, 41.5) to (-22.0, 18.0)",
                  "majority of three methods", "axial slice at 18.0 mm"):
         assert part in text, part

@@ -46,7 +46,9 @@ def test_every_picture_is_in_the_report(done):
     assert len(re.findall(r'<img [^>]*src="data:image/png;base64,', page)) == len(STEPS)
     for step in STEPS[:-1]:
         assert f"after the step {step}\"" in page
-        assert (done.folder / done.record["outputs"][f"figure:{step}"]).is_file()
+        name = done.record["outputs"][f"figure:{step}"]
+        assert (done.folder / name).is_file() and f'<a href="{name}"><img ' in page
+    assert len(page.encode()) < 1_700_000  # as it is printed, with finer elements, under 2 MB
 
 
 def test_the_brain_sinks_as_far_as_brains_do(checks):

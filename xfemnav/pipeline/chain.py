@@ -89,7 +89,7 @@ class Chain:
         found = []
         for step in range(len(self.config.steps)):
             self.inputs.step = step
-            found.append(self._stage(FIGURE, None, self.force_from == ORDER[0]))
+            found.append(self._stage(FIGURE, self.config.figure, self.force_from == ORDER[0]))
             self.warned += found[-1].warnings
         return found
 
@@ -247,4 +247,5 @@ def read_facts(entry: Entry) -> tuple[dict, tuple[Warned, ...]]:
 def page_key(run: dict) -> str:
     """Key of the report of a run: everything in the record but how it came about."""
     stages = [{"name": stage["name"], "key": stage["key"]} for stage in run["stages"]]
-    return digest({"page": run | {"stages": stages}, "code": stage_key("report", ("pipeline",), ("jinja2",), None, {})})
+    code = stage_key("report", ("pipeline",), ("jinja2", "pillow"), None, {})
+    return digest({"page": run | {"stages": stages}, "code": code})

@@ -22,6 +22,7 @@ from xfemnav.pipeline.parameters import (
     ConstrainParams,
     CutParams,
     DataEnds,
+    FigureParams,
     GravityParams,
     LabelParams,
     MeshParams,
@@ -77,6 +78,7 @@ class Config:
     solve: SolveParams
     warp: WarpParams
     carry: CarryParams
+    figure: FigureParams
 
     @property
     def image(self) -> Path:
@@ -175,6 +177,7 @@ def _resolved(s: "Scenario", files: dict[str, Path], changed: dict, also_read: t
         warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill, s.warp.transforms),
         carry=CarryParams(tuple(item for item, _ in carried), s.warp.interp, s.warp.outside, s.warp.fill,
                           s.space if s.surfaces else "ras"),
+        figure=FigureParams(s.display),
     )
 
 

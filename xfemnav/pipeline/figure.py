@@ -1,12 +1,13 @@
 """The run in one picture: the four panels of the paper's Fig. 2, its Fig. 1, and the displacement.
 
-Everything is drawn in the slice's plane coordinates (mm), e1 to the right and e2 upwards, so nothing is mirrored: left
-of a cut is left on the screen too, and on axial and coronal slices the patient's right is on the right. The same data
-give the same bytes: matplotlib's own defaults and font, no date, no software version.
+Everything is drawn in the slice's plane coordinates (mm), e2 upwards and e1 to the right, or to the left in
+radiological display: then the axes of the panels are inverted, and nothing else. The same data give the same bytes:
+matplotlib's own defaults and font, no date, no software version.
 """
 
 from io import BytesIO
 from pathlib import Path
+from textwrap import wrap
 
 import matplotlib
 import numpy as np
@@ -15,55 +16,68 @@ from matplotlib.patheffects import withStroke
 
 from xfemnav.imaging.background import blank_of
 from xfemnav.pipeline.disk import write_atomic
+from xfemnav.pipeline.display import NEUROLOGICAL, convention, edges, lip_ends, lips_told, mirrored
 
 PANEL_IN, DPI = 4.0, 140     # width of a panel, and dots an inch
-TITLE_IN, GAP_IN, FOOT_IN = 0.35, 0.12, 0.75  # above each row, between panels, below the last row
+TITLE_IN, GAP_IN, FOOT_IN = 0.35, 0.12, 0.6  # above each row, between panels, below the last row
+LINE_IN, LINE_LETTERS = 0.17, 170  # of the caption below that
 INSET, INSET_CELLS = 0.36, 6  # panel (e)'s inset: its size as a part of the panel, and how many cells it is wide
 MARGIN_MM = 10.0             # shown around the organ, and around the cuts in the close view
 CUT, HEAVISIDE, TIP, OVERLAP = "#ffd21f", "#0b62a8", "#d1410c", "#ff3030"
-SIDES = ("LR", "PA", "IS")   # letters at the negative and positive ends of the three RAS axes
-NAMES = {"R": "the patient's right", "L": "the patient's left", "A": "anterior", "P": "posterior", "S": "superior",
-         "I": "inferior"}
 
 
-def draw_figure(path: Path, slice, mask, problem, solution, update) -> Path:
+def draw_figure(path: Path, slice, mask, problem, solution, update, display: str = NEUROLOGICAL) -> Path:
     """Write the six panels as a PNG at `path`, and return it.
 
     `slice` is an imaging Slice and `mask` bool (n1, n2) on its grid; `problem` and `solution` are those of mechanics;
-    `update` is the result of the warp on the same grid. Only their attributes are read.
+    `update` is the result of the warp on the same grid. Only their attributes are read. `display`: neurological or
+    radiological.
     """
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        whole = _box_of_organ(slice, mask)
-        close = _box_of_cuts([*(cut.path for cut in problem.cuts), *_rings(problem)], whole)
-        figure, (a, b, c, d, e, f) = _panels(*(whole[1] - whole[0]))
-        grey = _window(slice, mask)
-        _preoperative(a, slice, problem, grey)
-        _mask(b, slice, mask, problem)
-        _mesh(c, problem)
-        _updated(d, slice, mask, update, grey)
-        _enrichment(e, problem, close)
-        _displacement(f, solution)
-        for panel, ink in zip((a, b, c, d, e, f), ("white", "white", "black", "white", "black", "black")):
-            box = close if panel is e else whole
-            panel.set(xlim=box[:, 0], ylim=box[:, 1], aspect="equal")
-            _letters(panel, slice, ink)
-            _scale_bar(panel, box, ink)
-        figure.text(0.5, 0.15 / figure.get_figheight(), _caption(slice), ha="center", fontsize=9)
         png = BytesIO()
-        figure.savefig(png, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 3})
+        _drawn(slice, mask, problem, solution, update, display).savefig(
+            png, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 3})
     write_atomic(path, png.getvalue())
     return path
 
 
-def _panels(width, height):
-    """A figure with six panels, two rows of three, that show a field of `width` by `height` mm each."""
-    panel = PANEL_IN, PANEL_IN * height / width
-    size = np.array([3 * panel[0] + 4 * GAP_IN, 2 * (panel[1] + TITLE_IN) + FOOT_IN])
+def _drawn(slice, mask, problem, solution, update, display) -> Figure:
+    """The figure."""
+    whole = _box_of_organ(slice, mask)
+    close = _box_of_cuts([*(cut.path for cut in problem.cuts), *_rings(problem)], whole)
+    caption = _caption(slice, problem.cuts, display)
+    figure, (a, b, c, d, e, f) = _panels(*(whole[1] - whole[0]), len(caption))
+    for panel in (a, b, c, d, e, f):  # before anything is drawn, which asks which way round it is
+        _look_at(panel, close if panel is e else whole, mirrored(slice.plane, display))
+    grey = _window(slice, mask)
+    _preoperative(a, slice, problem, grey)
+    _mask(b, slice, mask, problem)
+    _mesh(c, problem)
+    _updated(d, slice, mask, update, grey)
+    _enrichment(e, slice, problem, close)
+    _displacement(f, solution)
+    for panel, ink in zip((a, b, c, d, e, f), ("white", "white", "black", "white", "black", "black")):
+        box = close if panel is e else whole
+        _letters(panel, edges(slice.plane, slice.axes, display), ink)
+        _scale_bar(panel, box, ink)
+    figure.text(0.5, 0.1 / figure.get_figheight(), "\n".join(caption), ha="center", fontsize=9)
+    return figure
+
+
+def _panels(width, height, lines):
+    """A figure with six panels, two rows of three, that show a field of `width` by `height` mm each, over a caption."""
+    panel, foot = (PANEL_IN, PANEL_IN * height / width), FOOT_IN + lines * LINE_IN
+    size = np.array([3 * panel[0] + 4 * GAP_IN, 2 * (panel[1] + TITLE_IN) + foot])
     figure = Figure(size, DPI)
-    places = [(GAP_IN + column * (panel[0] + GAP_IN), FOOT_IN + row * (panel[1] + TITLE_IN))
+    places = [(GAP_IN + column * (panel[0] + GAP_IN), foot + row * (panel[1] + TITLE_IN))
               for row in (1, 0) for column in range(3)]
     return figure, [figure.add_axes([*(place / size), *(panel / size)], xticks=[], yticks=[]) for place in places]
+
+
+def _look_at(panel, box, inverted):
+    """Show a box (2, 2) mm, with e1 to the left where the panel is `inverted`."""
+    panel.set(xlim=box[::-1, 0] if inverted else box[:, 0], ylim=box[:, 1], aspect="equal")
 
 
 # The panels ----------------------------------------------------------------------------------------------------------
@@ -74,7 +88,7 @@ def _preoperative(panel, slice, problem, grey):
     _draw_grey(panel, slice, slice.values, grey)
     for cut in problem.cuts:
         _draw_cut(panel, cut, CUT, "black")
-        _name_lips(panel, cut, 10, CUT, "black")
+        _name_lips(panel, cut, slice.axes, 10, CUT, "black")
     _draw_resections(panel, problem, CUT, "black")
 
 
@@ -109,19 +123,19 @@ def _updated(panel, slice, mask, update, grey):
         panel.set_title("(d) updated slice, masked; red: lips overlap")
 
 
-def _enrichment(panel, problem, box):
+def _enrichment(panel, slice, problem, box):
     """The paper's Fig. 1 on this mesh: circles are set J, squares set K; fine meshes get an inset at the tip."""
     panel.set_title("(e) the cut and its enriched nodes")
     h, width = _size_at_cuts(problem), box[1, 0] - box[0, 0]
     _draw_enriched(panel, problem, h * PANEL_IN / width)
     for cut in problem.cuts:
-        _name_lips(panel, cut, 24, "black", "white")
+        _name_lips(panel, cut, slice.axes, 24, "black", "white")
     zoom = INSET * width / (INSET_CELLS * h)
     for tip in problem.subcells.tips[:1] if zoom > 2 else ():
-        inset = panel.inset_axes([*_emptiest_corner(box, problem), INSET, INSET], xticks=[], yticks=[], zorder=6)
+        inset = panel.inset_axes([*_emptiest_corner(panel, box, problem), INSET, INSET], xticks=[], yticks=[], zorder=6)
         _draw_enriched(inset, problem, zoom * h * PANEL_IN / width)
         low, high = tip + np.outer([-0.5, 0.5], INSET * np.ptp(box, axis=0) / zoom)
-        inset.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        _look_at(inset, np.array([low, high]), panel.xaxis_inverted())
         panel.indicate_inset_zoom(inset, edgecolor="black")
     panel.legend(*panel.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, fontsize=8,
                  frameon=False, handletextpad=0.2, columnspacing=1.0)
@@ -146,10 +160,13 @@ def _draw_enriched(panel, problem, cell_in):
     panel.plot(*mesh.points[K].T, marker="s", mec=TIP, label=f"set K: {len(K)} nodes, $F_1$..$F_4$ (Eq. 3)", **style)
 
 
-def _emptiest_corner(box, problem):
-    """Lower left corner, as fractions of `box`, of the inset's place that is farthest from all cuts and resections."""
+def _emptiest_corner(panel, box, problem):
+    """Lower left corner, as fractions of the panel, of the inset's place that is farthest from cuts and resections."""
     places = np.array([(x, y) for x in (0.01, 0.99 - INSET) for y in (0.15, 0.99 - INSET)])  # .15: above the scale bar
-    centres = box[0] + (places + INSET / 2) * (box[1] - box[0])
+    within = places + INSET / 2
+    if panel.xaxis_inverted():
+        within = [1, 0] + [-1, 1] * within
+    centres = box[0] + within * (box[1] - box[0])
     lines = [*(cut.path for cut in problem.cuts), *_rings(problem)]
     along = [start + t * (end - start) for line in lines for start, end in zip(line, line[1:])
              for t in np.linspace(0, 1, 20)]
@@ -199,15 +216,15 @@ def _draw_resections(panel, problem, colour, halo):
         panel.plot(*ring.T, color=colour, lw=1.4, ls=(0, (4, 2)), path_effects=_halo(2.4, halo))
 
 
-def _name_lips(panel, cut, gap, colour, halo):
-    """'left' and 'right', `gap` points beside the lips: left when walking from the mouth to the tip."""
+def _name_lips(panel, cut, axes, gap, colour, halo):
+    """The patient's side that each lip lies towards, `gap` points beside it."""
     start, end = cut.path[0], cut.path[-1]
     along = (end - start) / np.linalg.norm(end - start)
-    left = np.array([-along[1], along[0]])
+    left = np.array([-along[1], along[0]]) * ([-1, 1] if panel.xaxis_inverted() else 1)
     for name, side in (("left", left), ("right", -left)):
-        panel.annotate(name, start + 0.3 * (end - start), gap * side, textcoords="offset points", color=colour,
-                       ha=_alignment(side[0], "right", "left"), va=_alignment(side[1], "top", "bottom"),
-                       path_effects=_halo(2.5, halo))
+        panel.annotate(f"{lip_ends(cut.path, axes)[name]} lip", start + 0.5 * (end - start), gap * side,
+                       textcoords="offset points", color=colour, ha=_alignment(side[0], "right", "left"),
+                       va=_alignment(side[1], "top", "bottom"), path_effects=_halo(2.5, halo))
 
 
 def _alignment(component, negative, positive):
@@ -215,9 +232,9 @@ def _alignment(component, negative, positive):
     return positive if component > 0.3 else negative if component < -0.3 else "center"
 
 
-def _letters(panel, slice, ink):
-    """Letters of the patient's sides at the edges of the panel."""
-    (west, east), (south, north) = _ends(slice.axes[0]), _ends(slice.axes[1])
+def _letters(panel, letters, ink):
+    """Letters of the patient's sides at the left, right, lower and upper edge of the panel."""
+    west, east, south, north = letters
     paper = "black" if ink == "white" else "white"
     for x, y, ha, va, letter in ((0.02, 0.5, "left", "center", west), (0.98, 0.5, "right", "center", east),
                                  (0.5, 0.01, "center", "bottom", south), (0.5, 0.99, "center", "top", north)):
@@ -229,27 +246,24 @@ def _halo(width, colour):
     return [withStroke(linewidth=width, foreground=colour)]
 
 
-def _ends(axis) -> str:
-    """Letters of the patient's sides where a unit vector (3,), RAS, starts and ends: 'LR' for e1 of an axial slice."""
-    k = int(np.argmax(np.abs(axis)))
-    return SIDES[k] if axis[k] > 0 else SIDES[k][::-1]
-
-
 def _scale_bar(panel, box, ink):
     """A bar of a round length, about a seventh of the panel, in the lower left corner."""
     width, height = box[1] - box[0]
     mm = max((length for length in (1, 2, 5, 10, 20, 50) if length <= width / 6), default=1)
-    x, y = box[0] + 0.04 * width
+    y = box[0, 1] + 0.04 * width
+    x, end = (box[1, 0] - 0.04 * width - np.array([0, mm]) if panel.xaxis_inverted()
+              else box[0, 0] + 0.04 * width + np.array([0, mm]))
     halo = _halo(5, "black" if ink == "white" else "white")
-    panel.plot([x, x + mm], [y, y], color=ink, lw=3, solid_capstyle="butt", path_effects=halo)
-    panel.text(x + mm / 2, y + 0.015 * height, f"{mm} mm", color=ink, ha="center", fontsize=9, path_effects=halo)
+    panel.plot([x, end], [y, y], color=ink, lw=3, solid_capstyle="butt", path_effects=halo)
+    panel.text((x + end) / 2, y + 0.015 * height, f"{mm} mm", color=ink, ha="center", fontsize=9, path_effects=halo)
 
 
-def _caption(slice) -> str:
-    east, north = _ends(slice.axes[0])[1], _ends(slice.axes[1])[1]
-    convention = "neurological display, " if east == "R" else ""
-    return (f"{slice.plane} slice at {slice.offset:.1f} mm; {convention}{NAMES[east]} is on the right, {NAMES[north]} "
-            "at the top; left and right of a cut as seen from its mouth. Research use only, not a medical device.")
+def _caption(slice, cuts, display) -> list[str]:
+    """Lines: what is shown, which way round, and which lip is which."""
+    shown = (f"{slice.plane} slice at {slice.offset:.1f} mm, {convention(slice.plane, slice.axes, display)}. Research "
+             "use only, not a medical device.")
+    lips = lips_told([(cut.name, cut.path) for cut in cuts], slice.plane, slice.axes, display)
+    return [line for text in (shown, lips) for line in wrap(text, LINE_LETTERS)]
 
 
 def _window(slice, mask) -> tuple[float, float]:

@@ -89,6 +89,7 @@ class Flags(TypedDict, total=False):
     outside: Annotated[str | None, "warp.outside"]
     fill: Annotated[float | None, "warp.fill"]
     transforms: Annotated[str | None, "warp.transforms"]
+    display: Annotated[str | None, "display"]
     companion: Annotated[AnyPath | Sequence[AnyPath] | None, Own(
         (), "other images to carry along: '[kind=]file', or a list of these")]
     axes: Annotated[str | None, "companion.*.axes"]

@@ -165,7 +165,7 @@ def _outline(asked):
 
 def _retraction(retract, run):
     asked = run["parameters"]
-    lip = f"The {retract['side']} lip" + (f" of '{retract['cut']}'" if len(asked["cut"]) > 1 else "")
+    lip = f"The lip {retract['side']} of " + (f"'{retract['cut']}'" if len(asked["cut"]) > 1 else "the cut")
     if retract["displacement_mm"] is not None:
         what = "was displaced by ({:g}, {:g}) mm".format(*retract["displacement_mm"]) + _from_where(retract, asked)
     elif retract["normal_mm"] is not None:

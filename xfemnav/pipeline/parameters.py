@@ -207,6 +207,13 @@ class CarryParams:
 
 
 @dataclass(frozen=True)
+class FigureParams:
+    """Which way round slices are shown: "neurological" or "radiological"."""
+
+    display: str
+
+
+@dataclass(frozen=True)
 class Step:
     """One step of a run: its name ("" when the run has no steps), what begins and ends with it, and its problem."""
 

@@ -8,14 +8,18 @@ all these are in run.json), so equal runs give equal pages.
 
 import base64
 import copy
+import os
 from pathlib import Path
+from urllib.parse import quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from xfemnav.errors import FAULTS
 from xfemnav.pipeline.disk import write_atomic
+from xfemnav.pipeline.display import convention, lip_ends, lips_told
 from xfemnav.pipeline.flags import path_places
 from xfemnav.pipeline.methods import CITATIONS, methods_paragraph
+from xfemnav.pipeline.palette import reduced
 from xfemnav.pipeline.scenario_file import AGAIN, put
 from xfemnav.pipeline.verdicts import MMHG_PER_KPA
 
@@ -44,6 +48,20 @@ CHECKS = {  # name in run.json: (what it is, unit)
     "main_young_kpa": ("Young's modulus of the main tissue", "kPa"),
 }
 WORDS = {"ok": "ok", "look": "look at it", "untrusted": "not trusted"}
+EARLIER_PX = 900  # width of the pictures of earlier steps
+#: What no check can see, and who must.
+UNCHECKED = ("whether the mask is the organ", "whether cuts and resections are where the surgeon's are",
+             "whether tissue, skull and blades are as stated", "how far the patient's tissue moved out of this plane",
+             "how the result compares with an image taken during surgery")
+
+
+def checked(run: dict) -> str:
+    """What the word "complete" says of a run, and what it does not."""
+    found = [item["verdict"] for step in run.get("steps") or [run] for item in step["verdicts"].values()]
+    looks = found.count("look")
+    amber = f", {looks} of them beyond a limit that asks for a look" if looks else ""
+    return (f"Complete: every stage has ended, and of {len(found)} checks with a limit none says that the result is "
+            f"not to be trusted{amber}. Not checked: {'; '.join(UNCHECKED)}.")
 
 
 def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
@@ -52,7 +70,8 @@ def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
     `figures`: the pictures by role, "figure" the last step's, "figure:<step>" those of earlier ones.
     """
     target = folder / "report.html"
-    page = render(run, {role: path.read_bytes() for role, path in figures.items()})
+    page = render(run, {role: reduced(path.read_bytes(), None if role == "figure" else EARLIER_PX)
+                        for role, path in figures.items()})
     write_atomic(target, page.encode(errors="backslashreplace"))  # file names may hold bytes that are no UTF-8
     return target
 
@@ -63,13 +82,19 @@ def render(run: dict, figures: dict[str, bytes]) -> str:
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True, keep_trailing_newline=True,
     ).get_template("report.html")
+    shown = run["slice"]["plane"], run["slice"]["axes"], run["parameters"]["display"]
+    cuts = [(cut["name"], cut["path"]) for cut in run["cuts"]]
     return page.render(
         title=Path(run["parameters"]["image"]).name,
         status=run["status"],
         verdict=VERDICTS[run["status"]],
+        checked=checked(run),
+        display=convention(*shown),
+        lips=lips_told(cuts, *shown),
         error=run.get("error"),
         figure=_embedded(figures.get("figure")),
-        steps=[step_row(step, _embedded(figures.get(f"figure:{step['name']}"))) for step in run.get("steps", ())],
+        steps=[step_row(step, _embedded(figures.get(f"figure:{step['name']}")), run["outputs"])
+               for step in run.get("steps", ())],
         pieces=run["pieces"],
         contacts=run["contact"],
         points=run.get("points", ()),
@@ -77,11 +102,12 @@ def render(run: dict, figures: dict[str, bytes]) -> str:
         stages=run["stages"],
         checks=[check_row(name, run) for name in CHECKS if run["checks"].get(name) is not None],
         warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
-        retractors=[retractor_row(each) for each in run["retractor"]],
+        retractors=[retractor_row(each, {name: lip_ends(path, shown[1]) for name, path in cuts})
+                    for each in run["retractor"]],
         tips=[tip_row(each) for each in run["tips"]],
         parameters=list(flat(settings(run["parameters"]))),
         input=list(flat(run["input"])),
-        outputs=run["outputs"],
+        outputs=[(role, name, link(name)) for role, name in run["outputs"].items()],
         methods=methods_paragraph(run),
         citations=CITATIONS,
         version=run["version"],
@@ -109,24 +135,34 @@ def check_row(name: str, run: dict) -> dict:
             "word": WORDS.get(verdict, "")}
 
 
-def step_row(step: dict, figure: str | None) -> dict:
+def link(name: str) -> str:
+    """Relative address of a file beside the page, whatever bytes are in its name."""
+    return quote(os.fsencode(name))
+
+
+def step_row(step: dict, figure: str | None, outputs: dict[str, str]) -> dict:
     """What the page says of a step: what began and ended, its key figures, and its picture unless it is the last."""
+    name = outputs.get(f"figure:{step['name']}")
     checks, judged = step["checks"], {item["verdict"] for item in step["verdicts"].values()}
     worst = next(verdict for verdict in ("untrusted", "look", "ok") if verdict in judged)
     return {
         "name": step["name"], "acts": ", ".join(step["acts"]) or "-", "ends": ", ".join(step["ends"]) or "-",
         "moved": f"{checks['max_displacement_mm']:.2f}", "cavity": f"{checks['cavity_mm2']:.0f}",
         "inverted": f"{checks['inverted_mm2']:.2f}", "verdict": worst, "word": WORDS[worst], "figure": figure,
+        "file": name and link(name),
     }
 
 
-def retractor_row(retractor: dict) -> dict:
-    """A row of the table of forces: components and size in mN per mm of thickness, pressure in kPa and mmHg."""
+def retractor_row(retractor: dict, ends: dict[str, dict[str, str]]) -> dict:
+    """A row of the table of forces: components and size in mN per mm of thickness, pressure in kPa and mmHg.
+
+    `ends`: the letter of the patient's side that each lip lies towards, by cut.
+    """
     fx, fy = retractor["force_mN_per_mm"]
     pressure = retractor["mean_pressure_kPa"]
     return {
         "cut": retractor["cut"],
-        "side": retractor["side"],
+        "side": f"{retractor['side']} of it, the {ends[retractor['cut']][retractor['side']]} lip",
         "force": f"({fx:.2f}, {fy:.2f})",
         "size": f"{(fx**2 + fy**2) ** 0.5:.2f}",
         "kpa": f"{pressure:.3f}",

@@ -337,6 +337,9 @@ class Scenario(Section):
     points: Paths_ = Field((), description="files of landmarks to move: .mrk.json, .fcsv, .csv, .tsv, .tag")
     streamlines: Paths_ = Field((), description="tractograms to move: .trk, .trk.gz, .tck")
     surfaces: Paths_ = Field((), description="surfaces to move: .stl, .vtk, .vtp, .gii, .obj, .ply")
+    display: Literal["neurological", "radiological"] = Field(
+        "neurological", description="of figure and report, in axial and coronal slices: the patient's left on the "
+                                    "viewer's left, or on the viewer's right; changes no data")
     slice: SliceSection = SliceSection()
     segment: SegmentSection = SegmentSection()
     cut: Annotated[tuple[CutSection, ...], Strict(False), MANY] = ()

@@ -16,4 +16,4 @@ def publish(value, inputs, folder):
 
     slice, segmentation = inputs.value("segment")
     draw_figure(folder / "figure.png", slice, segmentation.mask, inputs.value("constrain"), inputs.value("solve"),
-                inputs.value("warp"))
+                inputs.value("warp"), inputs.config.figure.display)
