@@ -37,7 +37,7 @@ def test_faults_at_60_random_calls(tmp_path, monkeypatch, capsys):
     with capsys.disabled():
         print(dict(battery.found), end=" ")
     assert not battery.failed, "\n".join(battery.failed)
-    assert battery.found["exit 73"] > 5 and battery.found["exit 74"] > 5 and battery.found["reruns"] > 5
+    assert battery.found["exit 73"] > 2 and battery.found["exit 74"] > 5 and battery.found["reruns"] > 5
 
 
 @pytest.fixture(scope="session")

@@ -179,9 +179,10 @@ def confined(raw: dict, folder: Path, allow_outside: bool | None = None) -> dict
     folder, files, outside = folder.resolve(), {}, []
     anywhere = (raw.get("allow_outside") if allow_outside is None else allow_outside) is True
     for place, value in path_places(raw).items():
-        if CONTROL.search(value) and not os.path.lexists(folder / value):
+        is_path = "\0" not in value
+        inside = is_path and not Path(value).is_absolute() and (folder / value).resolve().is_relative_to(folder)
+        if CONTROL.search(value) and (inside or anywhere) and not os.path.lexists(folder / value):
             raise XfemnavError("E780", f"{place} names {value!a}, with a tab or another control character. {BACKSLASH}")
-        inside = not Path(value).is_absolute() and (folder / value).resolve().is_relative_to(folder)
         if not (inside or anywhere):
             outside.append(f"{place}: {value!r}")
         files[place] = folder / value
