@@ -1,20 +1,21 @@
 """`xfemnav batch IN OUT -j N`: every slice of a folder that has a scenario beside it, each in a process of its own."""
 
 import json
-import signal
 import subprocess
 import sys
+import threading
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, CancelledError, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
 from xfemnav.errors import EXIT_OK, EXIT_SOME_FAILED, EXIT_UNTRUSTED
-from xfemnav.interruption import ENDING
+from xfemnav.interruption import checkpoint, forget
 from xfemnav_cli.telling import printable, say
 
+PATIENCE_S = 0.2  # how long a signal may wait
 IMAGE_SUFFIXES = (".nii.gz", ".nii", ".mgz", ".mgh", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 
@@ -57,14 +58,36 @@ def find_items(source: Path, target: Path) -> list[Item]:
     return items
 
 
-def run_item(item: Item, started: list[subprocess.Popen]) -> Outcome:
+class Running:
+    """The processes of the slices under way, which end together."""
+
+    def __init__(self):
+        self._lock, self._ended, self._started = threading.Lock(), False, []
+
+    def start(self, program: list) -> subprocess.Popen:
+        """Start one. Raises CancelledError when all are to end."""
+        with self._lock:
+            if self._ended:
+                raise CancelledError
+            process = subprocess.Popen(program, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                                       stderr=subprocess.PIPE)
+            self._started.append(process)
+            return process
+
+    def end(self) -> None:
+        """End all, and start none any more."""
+        with self._lock:
+            self._ended = True
+            for process in self._started:
+                process.terminate()
+
+
+def run_item(item: Item, running: Running) -> Outcome:
     """Run one slice to its end. A crash, a signal or a full memory ends this process and no other."""
     # Absolute paths: a name such as -x.nii must not look like an option. One thread a run: -j shares out the cores.
     paths = [item.image.absolute(), "--scenario", item.scenario.absolute(), "-o", item.folder.absolute()]
     program = [sys.executable, "-c", "from xfemnav_cli.main import main; main()", "run", "-q", "--threads", "1"]
-    process = subprocess.Popen([*program, *paths], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                               stderr=subprocess.PIPE)
-    started.append(process)
+    process = running.start([*program, *paths])
     words = process.communicate()[1].decode(errors="replace").strip().splitlines()
     succeeded = process.returncode in (EXIT_OK, EXIT_UNTRUSTED)
     record = json.loads((item.folder / "run.json").read_text(encoding="utf-8")) if succeeded else {"stages": []}
@@ -75,17 +98,22 @@ def run_item(item: Item, started: list[subprocess.Popen]) -> Outcome:
 
 def run_items(items: list[Item], jobs: int) -> list[Outcome]:
     """Run all items, `jobs` at a time, with a line for each as it ends; their outcomes in the order of `items`."""
-    started: list[subprocess.Popen] = []
+    running = Running()
     with ThreadPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(run_item, item, started) for item in items]
+        waiting = [pool.submit(run_item, item, running) for item in items]
+        pending = set(waiting)
         try:
-            for number, done in enumerate(as_completed(waiting), 1):
-                say(f"[{number}/{len(items)}] {done.result().row()}")
+            while pending:
+                done, pending = wait(pending, PATIENCE_S, FIRST_COMPLETED)
+                checkpoint()
+                before = len(items) - len(pending) - len(done)
+                for number, ended in enumerate(done, before + 1):
+                    say(f"[{number}/{len(items)}] {ended.result().row()}")
         except BaseException:
             # Ctrl-C and kill end the running slices too; their finished stages are in the cache.
+            forget()
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in started:
-                process.terminate()
+            running.end()
             raise
     return [done.result() for done in waiting]
 
@@ -105,8 +133,6 @@ def batch(source: Path, target: Path, jobs: int):
     items = find_items(source, target)
     if not items:
         raise click.UsageError(f"{printable(str(source))} holds no <stem>.toml of a <stem>.nii.gz or .nii.")
-    for signum in ENDING:  # raise at once: the running slices must end
-        signal.signal(signum, signal.default_int_handler)
     outcomes = run_items(items, jobs)
     say("")
     say("slice                    result     stages             message")

@@ -22,7 +22,7 @@ from xfemnav.errors import (
     XfemnavError,
     XfemnavWarning,
 )
-from xfemnav.interruption import Interrupted, checkpoint, note_signals
+from xfemnav.interruption import Interrupted, checkpoint, forget, note_signals
 from xfemnav_cli import batch, run, telling, tools
 from xfemnav_cli.telling import complain, printable
 
@@ -44,12 +44,31 @@ for command in (run.run, *run.stage_commands, run.demo, batch.batch, tools.check
 def main(argv: list[str] | None = None) -> None:
     """Run the command line and leave the process with its exit code."""
     note_signals()
+    try:
+        _settle()
+        code = _outcome(sys.argv[1:] if argv is None else argv)
+    except Interrupted as error:  # also a second one, while something is told
+        forget()
+        complain("interrupted.")
+        code = 128 + error.signum
+    forget()
+    if telling.refused and code in (EXIT_OK, EXIT_UNTRUSTED):
+        complain(f"E501 standard output cannot be written: {telling.refused[0]}. Files that were made are complete.")
+        code = FAULTS["E501"].exit_code
+    sys.exit(code)
+
+
+def _settle() -> None:
+    """Make the process one that only runs a command."""
     _open_standard_streams()
     # Imports make hundreds of thousands of objects that stay: searching them for cycles again and again costs .2 s,
     # and once more when the interpreter ends as much again.
     gc.set_threshold(100_000)
     atexit.register(gc.freeze)
-    argv = sys.argv[1:] if argv is None else argv
+
+
+def _outcome(argv: list[str]) -> int:
+    """The exit code of a command; what has failed is told. Raises Interrupted."""
     traced = "-vv" in argv
     if not traced and not sys.warnoptions:
         warnings.simplefilter("ignore")  # what a library doubts is said with a code, or means nothing here
@@ -70,16 +89,14 @@ def main(argv: list[str] | None = None) -> None:
             traceback.print_exc()
         complain(str(error))
         code = error.exit_code or EXIT_DATA
-    except Interrupted as error:
-        code = 128 + error.signum
-    except (KeyboardInterrupt, click.Abort):  # of a command that has handlers of its own
+    except (KeyboardInterrupt, click.Abort):  # where the handlers are not ours
         code = 130
     except MemoryError as error:
         complain(f"E800 not enough memory ({error}): use larger elements (--element-size-mm), a smaller image, or a "
                  "machine with more memory.")
         code = FAULTS["E800"].exit_code
     except OSError as error:
-        if error.errno != errno.ENOSPC:
+        if error.errno != errno.ENOSPC or error.filename is not None:
             code = _bug(error, traced)
         else:  # a text of click's own, as --help; all else is translated where it is written
             telling.give_up(sys.stdout)
@@ -87,10 +104,7 @@ def main(argv: list[str] | None = None) -> None:
             code = EXIT_OK
     except Exception as error:
         code = _bug(error, traced)
-    if telling.refused and code in (EXIT_OK, EXIT_UNTRUSTED):
-        complain(f"E501 standard output cannot be written: {telling.refused[0]}. Files that were made are complete.")
-        code = FAULTS["E501"].exit_code
-    sys.exit(code)
+    return code
 
 
 def _bug(error: Exception, traced: bool) -> int:

@@ -207,6 +207,7 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
             teller.json({"schema": job.SCHEMA} | job.failure(error))
         if isinstance(error, XfemnavError):
             raise
+        forget()
         complain("interrupted; finished stages are kept, so the same command goes on from there.")
         return 128 + error.signum
     except BrokenPipeError:

@@ -23,9 +23,9 @@ def put(text: str, *, on_stderr: bool = False) -> None:
         return
     try:
         print(text, file=stream, flush=True)
-    except BrokenPipeError:  # nobody listens any more
-        raise
     except OSError as error:
+        if isinstance(error, BrokenPipeError) and not on_stderr:  # nobody wants what we make any more
+            raise
         give_up(stream)
         if not on_stderr:
             refused.append(error.strerror)

@@ -1,5 +1,6 @@
 """A finished run applied to what comes later: as the run itself would have carried it, never over what is there."""
 
+import errno
 import gzip
 import json
 import os
@@ -17,6 +18,7 @@ from xfemnav.imaging.point_files import read_points, write_points
 from xfemnav.imaging.points import PointSet
 from xfemnav.imaging.stl import FACET
 from xfemnav.imaging.surface_files import read_surface
+from xfemnav.pipeline import disk, locks
 from xfemnav.pipeline.apply import Choices, apply, output_name
 
 POINTS = np.array([[5.0, 5.0, 10.0], [-25.0, 20.0, 12.0], [300.0, 0.0, 10.0]])
@@ -220,6 +222,32 @@ def test_all_or_nothing(home, result, tmp_path, monkeypatch):
     with pytest.raises(package.XfemnavError, match="E501"):
         apply(result, home / "marks.csv", tmp_path / "new")
     assert names(tmp_path) == []
+
+
+def test_without_temporary_files_nothing_is_applied(home, tmp_path, capfd, monkeypatch):
+    def refused(*_, **__):
+        raise PermissionError(13, "Permission denied", "/tmp/xfemnav-x")
+
+    monkeypatch.setattr(disk.tempfile, "mkdtemp", refused)
+    code, _, stderr = xfemnav(capfd, "apply", home / "out", home / "t2.nii.gz", "-o", tmp_path)
+    assert code == 73 and "E502 cannot write temporary files" in stderr and "TMPDIR" in stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_killed_one_left_half_written_goes_with_the_next(home, result, tmp_path, monkeypatch):
+    """Unless somebody may be writing it: on a disk without locks it stays."""
+    left = tmp_path / ".123-4.xfemnav-tmp"
+    left.write_text("half")
+
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(locks.fcntl, "flock", no_locks)
+        apply(result, home / "t2.nii.gz", tmp_path)
+        assert left.exists()
+    apply(result, home / "marks.fcsv", tmp_path)
+    assert not left.exists() and len(list(tmp_path.iterdir())) == 3
 
 
 def test_inverse_is_for_points(home, result, tmp_path):

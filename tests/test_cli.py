@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -19,7 +18,6 @@ import pytest
 from small import CUT, OPEN, QUICK, write, xfemnav
 
 from tests.test_chain import ROLES
-from xfemnav import interruption
 from xfemnav.pipeline import disk, kernels, locks, stage_mesh
 from xfemnav.pipeline.runfile import run_schema
 from xfemnav.pipeline.scenario import problems
@@ -171,90 +169,6 @@ def test_printable_keeps_a_message_on_one_line():
 
 
 # Stopped, crowded out, out of room ----------------------------------------------------------------------------------
-
-@pytest.mark.parametrize("signum, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_interrupted_run_says_so_and_goes_on_from_there(head, capfd, signum, code):
-    process = subprocess.Popen([*XFEMNAV, *command(head)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout.readline().startswith("segment")
-    process.send_signal(signum)
-    _, stderr = process.communicate(timeout=60)
-    record = json.loads((head.parent / "head_xfemnav" / "run.json").read_text())
-    jsonschema.validate(record, run_schema())
-    assert process.returncode == code == record["exit_code"] and record["status"] == "interrupted"
-    assert "Traceback" not in stderr and record["outputs"] == {}
-    again, stdout, _ = xfemnav(capfd, *command(head))
-    assert again == 0 and stdout.splitlines()[0].split()[1] == "cached"
-
-
-SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
-
-
-def ended_rightly(code, signum, folder, stderr):
-    """A signal ends a run with its own status, or comes too late; and nothing is said but one line."""
-    record = json.loads((folder / "run.json").read_text()) if (folder / "run.json").exists() else {}
-    assert code == SIGNALS[signum] or (code == 0 and record["status"] == "complete"), (code, signum, stderr)
-    assert "Traceback" not in stderr and "Exception ignored" not in stderr
-
-
-def interrupt_in_one_process(head, capfd, times):
-    """Runs in this process, each with a signal at a random time of its second."""
-    rng = random.Random(2)
-    xfemnav(capfd, *command(head, "-o", "warm"))
-    start = time.perf_counter()
-    xfemnav(capfd, *command(head, "-o", "warm", "--force"))
-    whole, ended = time.perf_counter() - start, []
-    for n in range(times):
-        signum = rng.choice(list(SIGNALS))
-        timer = threading.Timer(rng.uniform(0, 1.2 * whole), os.kill, (os.getpid(), signum))
-        handlers = [signal.signal(each, lambda *_: None) for each in SIGNALS]  # where the run has ended already
-        timer.start()
-        code, _, stderr = xfemnav(capfd, *command(head, "-o", str(n % 3), "--force"))
-        timer.join()
-        for each, handler in zip(SIGNALS, handlers):
-            signal.signal(each, handler)
-        ended_rightly(code, signum, head.parent / str(n % 3), stderr)
-        ended.append(code)
-    assert any(ended)
-    assert xfemnav(capfd, *command(head, "-o", "0"))[0] == 0
-    assert outputs(head.parent / "0") == outputs(head.parent / "warm")
-
-
-def interrupt_fresh_processes(head, capfd, times):
-    """Fresh processes, each with a signal at a random time after its main's first line."""
-    rng = random.Random(3)
-    xfemnav(capfd, *command(head, "-o", "warm"))
-    for n in range(times):
-        signum, folder = rng.choice(list(SIGNALS)), head.parent / str(n % 3)
-        begun = "from xfemnav_cli.main import main, note_signals; note_signals(); print('main', flush=True); main()"
-        process = subprocess.Popen([sys.executable, "-c", begun, *command(head, "-o", folder, "--force")],
-                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        assert process.stdout.readline() == "main\n"
-        time.sleep(rng.uniform(0, 2.0))
-        process.send_signal(signum)
-        _, stderr = process.communicate(timeout=120)
-        ended_rightly(process.returncode, signum, folder, stderr)
-    assert xfemnav(capfd, *command(head, "-o", "0"))[0] == 0
-    assert outputs(head.parent / "0") == outputs(head.parent / "warm")
-
-
-def test_a_signal_at_any_time_ends_a_run_as_it_should(head, capfd):
-    interrupt_in_one_process(head, capfd, 8)
-    interrupt_fresh_processes(head, capfd, 2)
-
-
-@pytest.mark.slow
-def test_a_signal_at_any_time_ends_a_run_as_it_should_200_times(head, capfd):
-    interrupt_in_one_process(head, capfd, 200)
-    interrupt_fresh_processes(head, capfd, 200)
-
-
-def test_a_second_signal_waits_for_no_safe_point(monkeypatch):
-    interruption.note_signals()
-    os.kill(os.getpid(), signal.SIGTERM)
-    with pytest.raises(interruption.Interrupted, match=str(int(signal.SIGTERM))):
-        os.kill(os.getpid(), signal.SIGINT)
-    interruption.checkpoint()  # nothing is left
-
 
 def test_two_runs_in_one_folder_wait_for_each_other(head):
     pair = [subprocess.Popen([*XFEMNAV, *command(head, "--fill", fill)], stdout=subprocess.DEVNULL,

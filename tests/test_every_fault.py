@@ -23,9 +23,9 @@ SCRIPT = Path(__file__).parent / "faults" / "everywhere.py"
 HOW = (errno.ENOSPC, errno.EIO, errno.EACCES, HALF)
 
 
-def test_faults_at_60_random_calls(tmp_path, monkeypatch, capsys):
+def test_faults_at_60_random_calls(tmp_path, quick_folder, monkeypatch, capsys):
     """Through what stands between Python and the system, in this process."""
-    rng, battery = random.Random(60), Battery(Here(tmp_path / "bench", monkeypatch))
+    rng, battery = random.Random(60), Battery(Here(quick_folder, monkeypatch))
     monkeypatch.chdir(tmp_path)
     remember(monkeypatch.setattr)
     found = [battery.undisturbed(command) for command in COMMANDS]
@@ -37,7 +37,7 @@ def test_faults_at_60_random_calls(tmp_path, monkeypatch, capsys):
     with capsys.disabled():
         print(dict(battery.found), end=" ")
     assert not battery.failed, "\n".join(battery.failed)
-    assert battery.found["exit 73"] > 2 and battery.found["exit 74"] > 5 and battery.found["reruns"] > 5
+    assert {"exit 0", "exit 73", "exit 74", "reruns"} == battery.found.keys()
 
 
 @pytest.fixture(scope="session")

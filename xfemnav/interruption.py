@@ -1,10 +1,13 @@
 """Signals that end a run are taken at safe points: between stages, and in loops that may run for long.
 
 An exception that a handler raises wherever the interpreter happens to be is lost where it is in a callback, and leaves
-a library half-way elsewhere. So a handler only notes its signal, and `checkpoint` raises.
+a library half-way elsewhere. So a handler only notes its signal, and `checkpoint` raises. Only the command line has
+such handlers; in a program that uses the package as a library nothing is noted, and Ctrl-C is what it is there.
 """
 
+import atexit
 import signal
+import threading
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -18,19 +21,35 @@ class Interrupted(BaseException):
 
 
 _waiting: list[int] = []  # numbers of signals that no checkpoint has seen yet
+_working = False  # whether a signal can still end anything
 
 
 def note_signals() -> None:
-    """From here on signals are noted for the next `checkpoint`. A second one does not wait for it."""
+    """From here on signals are noted for the next `checkpoint`. A second one does not wait for it.
+
+    A signal that is ignored stays ignored, as under nohup; and a thread, which can have no handlers, is not ended.
+    """
+    global _working
     _waiting.clear()
+    _working = threading.current_thread() is threading.main_thread()
+    for signum in ENDING if _working else ():
+        if signal.getsignal(signum) is not signal.SIG_IGN:
+            signal.signal(signum, _note)
+    atexit.register(_ignore)
+
+
+def _ignore() -> None:
+    """While the interpreter ends it would give up our handlers, and a signal end the process in its last moment."""
     for signum in ENDING:
-        signal.signal(signum, _note)
+        if signal.getsignal(signum) is _note:
+            signal.signal(signum, signal.SIG_IGN)
 
 
 def _note(signum: int, frame) -> None:
-    _waiting.append(signum)
-    if len(_waiting) > 1:
-        checkpoint()
+    if _working:
+        _waiting.append(signum)
+        if len(_waiting) > 1:
+            checkpoint()
 
 
 def checkpoint() -> None:
@@ -42,5 +61,7 @@ def checkpoint() -> None:
 
 
 def forget() -> None:
-    """Drop what is noted: the work is done already."""
+    """The work is done, or is being cleared up: signals, those that are noted too, end nothing any more."""
+    global _working
+    _working = False
     _waiting.clear()

@@ -1,14 +1,16 @@
 """A finished run applied to a file that comes later: an image, landmarks, streamlines or a surface."""
 
 import os
-import tempfile
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.disk import write_together, writing
+from xfemnav.pipeline.disk import remove_temporaries, scratch, write_together, writing
 from xfemnav.pipeline.inputs import Warned, recorded
+from xfemnav.pipeline.locks import locked
 from xfemnav.pipeline.result import Result
 from xfemnav.pipeline.runfile import BIDS, DESCRIBED, json_text, public_name, sidecar_name, slug, stem
 from xfemnav.pipeline.stage_carry import ending, placed, point_ending
@@ -54,7 +56,7 @@ def apply(result: Result, path: Path, folder: Path, choices: Choices = Choices()
     What it is, its ending says: that of a reader of landmarks, streamlines or surfaces, or else it is an image. Only
     with `force` an existing file is replaced, and never `path` itself, nor one of `kept` or of the run. `step` is the
     one that `result` is of, for the name. Raises E731, E780 (`inverse` for what are no points), what reading raises,
-    E501 and E502.
+    E501 to E503.
     """
     path, folder = Path(path), Path(folder)
     carry = _kind_of(path)
@@ -63,14 +65,29 @@ def apply(result: Result, path: Path, folder: Path, choices: Choices = Choices()
     target = folder / output_name(path, step, inverse=choices.inverse)
     targets = [target, *([folder / sidecar_name(target.name)] if carry is _image else [])]
     _refuse(targets, {path, *kept, *_own(result)}, force)
-    with recorded() as caught, tempfile.TemporaryDirectory(prefix="xfemnav-") as scratch:
-        with writing(Path(scratch), target.name):
-            text = carry(result, path, Path(scratch) / target.name, choices)
-        files = {made.name: made.read_bytes() for made in sorted(Path(scratch).iterdir())}
+    with recorded() as caught, scratch() as aside, writing(aside, target.name):
+        text = carry(result, path, aside / target.name, choices)
+        files = {made.name: made.read_bytes() for made in sorted(aside.iterdir())}
     with writing(folder, "the output folder"):
         folder.mkdir(parents=True, exist_ok=True)
-    write_together(folder, files)
+    with _held(folder):
+        write_together(folder, files)
     return Applied(target, text, tuple(caught))
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold a folder while files are put there, and remove what a killed run has left half-written; on a disk without
+    locks that stays, for it may be another's who is writing it now."""
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder))
+            with writing(folder, "the output folder"):
+                remove_temporaries(folder)
+        except XfemnavError as error:
+            if error.code != "E502":
+                raise
+        yield
 
 
 def output_name(path: Path, step: str | None = None, *, inverse: bool = False) -> str:

@@ -4,6 +4,8 @@ import errno
 import itertools
 import os
 import re
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,8 +20,9 @@ NUMBERS = itertools.count()
 
 
 @contextmanager
-def writing(where: Path, what: str) -> Iterator[None]:
-    """Turn a full disk into E501 and any other refused write into E502; `what` names the thing that was written.
+def writing(where: Path, what: str, mend: str = "Give another folder with -o or -w.") -> Iterator[None]:
+    """Turn a full disk into E501 and any other refused write into E502; `what` names the thing that was written, and
+    `mend` says what to do where it cannot be.
 
     Memory that the system refuses is no matter of the disk: MemoryError, which is told as E800.
     """
@@ -32,7 +35,24 @@ def writing(where: Path, what: str) -> Iterator[None]:
         if error.errno in NO_MEMORY:
             raise MemoryError(f"while writing {what}: {error.strerror}") from error
         raise XfemnavError("E502", f"cannot write {what} in {where}: {error.strerror or error}. "
-                                   "Give another folder with -o or -w.") from error
+                                   f"{mend}") from error
+
+
+def temporary_folder() -> Path:
+    """A new folder among the temporary files. Raises XfemnavError E501, E502 where none can be made."""
+    with writing(Path(os.environ.get("TMPDIR", "/tmp")), "temporary files", "Set TMPDIR to a folder that can be."):
+        return Path(tempfile.mkdtemp(prefix="xfemnav-"))
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """A temporary folder, which goes with all that is in it; where that is refused it is left, for no file depends on
+    it."""
+    folder = temporary_folder()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def write_atomic(path: Path, data: bytes) -> None:

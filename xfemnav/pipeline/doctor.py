@@ -12,11 +12,13 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
 from xfemnav.errors import EXIT_BUG, EXIT_CANNOT_WRITE, EXIT_DATA, EXIT_DISK_FULL, XfemnavError, XfemnavWarning
 from xfemnav.pipeline.cache import Cache
+from xfemnav.pipeline.disk import scratch
 from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.stages import ALL
 
@@ -45,8 +47,10 @@ def examine(cache: Path) -> Iterator[Finding]:
     yield _kernels()
     yield _cache(cache)
     yield _space(cache, "the cache")
-    yield _space(Path(tempfile.gettempdir()), "temporary files")
-    yield from _formats()
+    temporary = _temporary()
+    yield temporary
+    if temporary.exit_code != EXIT_CANNOT_WRITE:
+        yield from _formats()
 
 
 def _formats() -> Iterator[Finding]:
@@ -58,8 +62,13 @@ def _formats() -> Iterator[Finding]:
         return
     checks = (*CHECKS, ("meshes .vtu by meshio", _check_vtu, "meshio"))
     for what, check, library in checks:
-        with tempfile.TemporaryDirectory(prefix="xfemnav-") as folder:
-            yield _looked(what, lambda check=check, folder=folder: check(Path(folder)), _remedy(library))
+        yield _looked(what, partial(_aside, check), _remedy(library))
+
+
+def _aside(check: Callable[[Path], None]) -> None:
+    """A check in a temporary folder."""
+    with scratch() as folder:
+        check(folder)
 
 
 def _remedy(library: str) -> str:
@@ -157,6 +166,15 @@ def _is_locked(stream) -> bool:
     except BlockingIOError:
         return True
     return False
+
+
+def _temporary() -> Finding:
+    """Whether temporary files can be written, and the room for them."""
+    try:
+        with scratch() as folder:
+            return _space(folder.parent, "temporary files")
+    except XfemnavError as error:
+        return Finding("temporary files", _told(error), "The formats are not looked at", EXIT_CANNOT_WRITE)
 
 
 def _space(folder: Path, name: str) -> Finding:

@@ -25,7 +25,8 @@ Warnings do not stop a run; they are printed, kept in `run.json` and shown in th
 | 73, 74 | cannot write there; the disk is full |
 | 75 | another run holds the output folder |
 | 78 | the scenario or an option is not valid |
-| 130, 143 | interrupted; the same command resumes |
+| 129, 130, 143 | ended by SIGHUP, SIGINT or SIGTERM; the same command resumes |
+| 141 | whoever read standard output has gone away |
 """
 
 GROUPS = {

@@ -2,7 +2,6 @@
 
 import math
 import os
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from xfemnav.pipeline import stage_carry, whereabouts
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, page_key
 from xfemnav.pipeline.config import Config
-from xfemnav.pipeline.disk import writing
+from xfemnav.pipeline.disk import scratch
 from xfemnav.pipeline.inputs import STEPWISE, Done, Warned, recorded
 from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
@@ -64,8 +63,7 @@ def opened_cache(root: Path) -> Iterator[tuple[Cache, tuple[Warned, ...]]]:
     """The cache at `root`; when that, or an entry of it, cannot be written, a temporary one, with warning W602."""
     with ExitStack() as stack:
         def spare() -> Cache:
-            with writing(Path(os.environ.get("TMPDIR", "/tmp")), "temporary files"):
-                return Cache(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="xfemnav-"))))
+            return Cache(stack.enter_context(scratch()))
 
         warned = ()
         try:

@@ -15,14 +15,13 @@ import os
 import re
 import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.disk import UNFINISHED, write_atomic
+from xfemnav.pipeline.disk import UNFINISHED, temporary_folder, write_atomic
 from xfemnav.pipeline.keys import PACKAGE, canonical, file_digest, source_digest
 from xfemnav.pipeline.removal import folders, open_folder, remove, stranger
 
@@ -57,7 +56,7 @@ def settle_kernel_cache() -> str | None:
                  if _writable(base / name) and _rid_of_damage(base / name)), None)
     passing = base is None
     if passing:
-        base = Path(tempfile.mkdtemp(prefix="xfemnav-"))
+        base = temporary_folder()
         atexit.register(shutil.rmtree, base, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = str(base / name)
     atexit.register(_seal, base / name)
