@@ -95,7 +95,7 @@ def test_a_failing_slice_stops_no_other_and_nothing_is_done_twice(tmp_path):
     assert stages(target, "good") == {"cached"}
 
 
-@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_batch_leaves_no_run_behind(tmp_path, signum):
     for k in range(3):
         write_slice(tmp_path, f"slice{k}", 1.0)
@@ -104,7 +104,7 @@ def test_an_interrupted_batch_leaves_no_run_behind(tmp_path, signum):
         assert process.poll() is None
         time.sleep(0.02)
     process.send_signal(signum)
-    assert finished(process)[0] == 130
+    assert finished(process)[0] == 128 + signum
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)  # nobody is left in its group
     assert not (tmp_path / "out" / "slice2").exists(), "what had not begun does not begin"
