@@ -40,6 +40,18 @@ def test_faults_at_60_random_calls(tmp_path, quick_folder, monkeypatch, capsys):
     assert {"exit 0", "exit 73", "exit 74", "reruns"} == battery.found.keys()
 
 
+@pytest.mark.parametrize("how", [errno.ENOSPC, errno.EIO])
+def test_nothing_is_taken_away_under_a_record_that_names_it(tmp_path, quick_folder, monkeypatch, how):
+    """The disk is full, or broken, from one of the last calls on, as the fsync of run.json's folder."""
+    battery = Battery(Here(quick_folder, monkeypatch))
+    monkeypatch.chdir(tmp_path)
+    remember(monkeypatch.setattr)
+    true = battery.undisturbed(COMMANDS[2])
+    for n in range(len(true.calls) - 6, len(true.calls) + 1):
+        battery.fault(true, Fault(n, how, 1))
+    assert not battery.failed and battery.found["exit 0"] < 7, battery.failed
+
+
 @pytest.fixture(scope="session")
 def shim(tmp_path_factory):
     """The library that stands between the program and the system; where nothing can build it, there is none."""

@@ -241,6 +241,7 @@ def test_paths_leave_the_folder_where_it_is_allowed(home, key, flag, code):
 
 @pytest.mark.parametrize("key, code", [("", "E781"), ("allow_outside = true", "E780")])
 def test_what_is_no_path_is_told(home, key, code):
-    (home / "case.toml").write_text(f'xfemnav = 1\nimage = "a\\u0000b.nii"\n{key}\n[[cut]]\npoints = [[0, 0], [1, 1]]\n')
+    text = f'xfemnav = 1\nimage = "a\\u0000b.nii"\n{key}\n[[cut]]\npoints = [[0, 0], [1, 1]]\n'
+    (home / "case.toml").write_text(text)
     with pytest.raises(XfemnavError, match=f"^{code} "):
         configure(scenario=home / "case.toml")

@@ -93,7 +93,8 @@ class Battery:
         if start not in bench.kept:
             bench.place("")
             for each in command.after:
-                assert bench.run(each.arguments).code == 0
+                before = bench.run(each.arguments)
+                assert before.code == each.code, before
             bench.keep(start)
         bench.place(start)
         command.spoil(bench.case)

@@ -87,10 +87,10 @@ def remember(put=setattr) -> None:
         put(stage.code, "compute", remembering(stage.name, stage.code.compute))
     draw = figure.draw_figure
 
-    def draw_once(path, slice, mask, problem, solution, update):
-        key = "figure", repr(solution.moved.tobytes())
+    def draw_once(path, slice, mask, problem, solution, *more):
+        key = "figure", solution.moved.tobytes()
         if key not in known:
-            known[key] = draw(path, slice, mask, problem, solution, update).read_bytes()
+            known[key] = draw(path, slice, mask, problem, solution, *more).read_bytes()
         return write_atomic(path, known[key])
 
     put(figure, "draw_figure", draw_once)

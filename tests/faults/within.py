@@ -11,6 +11,7 @@ from pathlib import Path
 from faults.battery import HALF, Bench, Ended, Fault
 from small import main
 
+FREEING = ("unlink", "remove", "rmdir", "flock")  # a full disk lets go what is there
 MOVES = (os.rename, os.replace)
 OF_PATHS = ("mkdir", "rename", "replace", "unlink", "remove", "rmdir", "utime")
 
@@ -61,8 +62,11 @@ class Calls:
             return False
         self.number += 1
         self.log.append(f"{call} {path}")
-        if self.number != self.fault.at or self.fault.how == HALF:
-            return self.number == self.fault.at
+        at, how, lasting = self.fault.at, self.fault.how, self.fault.lasting
+        if not at or self.number < at or (self.number > at and not lasting):
+            return False
+        if how == HALF or (lasting and how == errno.ENOSPC and call in FREEING):
+            return how == HALF
         raise OSError(self.fault.how, os.strerror(self.fault.how), path)
 
     def _opening(self, real):

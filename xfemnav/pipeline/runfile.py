@@ -175,6 +175,7 @@ class OutputFolder:
     def write_failure(self, record: dict) -> None:
         """Record a failure and remove what earlier runs left, unless a whole earlier result is there still."""
         if not self.whole:
+            self.write_record(record | {"claims": sorted(self.earlier)})  # before: the one that is there may name them
             self.remove_earlier()
             self.write_record(record)
 
