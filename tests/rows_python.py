@@ -76,11 +76,21 @@ retract = [{ side = "left", normal_mm = 2.0 }]
 step = [{ name = "a", acts = ["cut", "cut left"] }, { name = "b" }, { name = "c" }, { name = "d" }, { name = "e" }]
 """
 
+def in_a_notebook(folder):
+    result = xfemnav.run(write(folder / "head.nii.gz"), cut=CUT, opening_mm=4.0, report=False, element_size_mm=8,
+                         corridor_element_mm=4, output=folder / "out", cache=folder / "cache")
+    page = result._repr_html_()
+    assert page.index("Complete, without warnings") < page.index("<img ") < page.index("<table") < page.index("<a ")
+    assert len(page) < 200_000
+    return f"{len(page) / 1e3:.0f} kB: verdict, before and after, checks, links to files", ""
+
+
 ROWS = [
     Row("D", "dir(xfemnav), types of it", "private names, no types", public_names),
     Row("D", "python -m xfemnav", "No module named xfemnav.__main__", as_a_module),
     Row("D", "inspect.signature(xfemnav.run)", "**flags", visible_flags),
     Row("D", "xfemnav.run(..., elment_size_mm=3)", "unknown option", wrong_name),
+    Row("D", "a Result in a notebook", "its address in memory", in_a_notebook),
     Row("D", "--display radiological", "neurological alone", other_way_round),
     Row("D", "report of five steps", "6.5 MB, no links", five_steps),
 ]

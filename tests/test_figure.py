@@ -97,7 +97,7 @@ def test_lips_are_named_by_the_patients_sides_that_they_lie_towards(travel, left
     """'left' when walking from the mouth to the tip is `left`; each name stands on its own side on the screen too."""
     panel = Figure().subplots()
     figure._look_at(panel, np.array([[-1.0, -1.0], [1.0, 1.0]]), inverted)
-    figure._name_lips(panel, cut((0, 0), travel), np.eye(3), 10, "black", "white")
+    figure._name_lips(panel, np.array([(0, 0), travel], float), np.eye(3), 10, "black", "white")
     offsets = {text.get_text(): np.array(text.xyann) for text in panel.texts}
     shown = np.array(left) * ([-1, 1] if inverted else 1)
     np.testing.assert_allclose(offsets[f"{letters[0]} lip"], 10 * shown, atol=1e-12)

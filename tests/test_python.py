@@ -1,14 +1,21 @@
 """The Python surface: public names and their types, what `help()` shows of `run`, and `python -m xfemnav`."""
 
+import copy
 import inspect
+import os
 import subprocess
 import sys
+from html.parser import HTMLParser
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from small import CUT, write
 
 import xfemnav
+from data_synthetic import domains
+from xfemnav.geometry.distmesh import distmesh
+from xfemnav.pipeline import card
 from xfemnav.pipeline.flags import TABLE
 from xfemnav_cli.run import run as command
 
@@ -103,3 +110,110 @@ def test_the_package_is_the_command(tmp_path, arguments, code, text):
     done = python("-m", "xfemnav", *arguments, cwd=tmp_path)
     assert done.returncode == code and text in done.stdout + done.stderr
     assert "__main__" not in done.stdout + done.stderr and "Traceback" not in done.stderr
+
+
+# What a notebook shows -----------------------------------------------------------------------------------------------
+
+EVIL = "<img src=x onerror=alert(1)>"
+
+
+class Tags(HTMLParser):
+    """All tags of a card with their attributes, and its visible text."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.text = [], ""
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """The small brain, cut and opened by 4 mm, in out/."""
+    home = tmp_path_factory.mktemp("notebook")
+    xfemnav.run(write(home / "head.nii.gz"), cut=CUT, opening_mm=4.0, output=home / "out", cache=home / "cache",
+                element_size_mm=8, corridor_element_mm=4, report=False)
+    return home
+
+
+@pytest.fixture
+def result(home, monkeypatch):
+    monkeypatch.chdir(home)
+    return xfemnav.Result.load("out")
+
+
+def changed(result, **facts):
+    """The result with other facts in its record."""
+    return xfemnav.Result(result.folder, copy.deepcopy(result.record) | facts)
+
+
+def test_a_notebook_shows_verdict_picture_checks_and_files(result):
+    page = result._repr_html_()
+    parts = ("Complete, without warnings", "head.nii.gz", "<img ", "Neurological display", "<table", "Not checked: ",
+             "<a ", "not a medical device")
+    places = [page.index(part) for part in parts]
+    assert places == sorted(places)
+    found = Tags(page)
+    assert [attrs["src"][:22] for tag, attrs in found.tags if tag == "img"] == ["data:image/png;base64,"]
+    links = [attrs["href"] for tag, attrs in found.tags if tag == "a"]
+    assert links == [f"out/{name}" for name in result.record["outputs"].values()]
+    assert all(Path(link).is_file() for link in links)
+    assert sum(tag == "tr" for tag, _ in found.tags) == 1 + len(result.record["verdicts"])
+    assert len(page) < 200_000 and "left lip" not in page
+    assert repr(result) == "<xfemnav.Result in 'out': Complete, without warnings>"
+
+
+def test_names_in_a_card_cannot_become_markup(result):
+    record = result.record
+    cuts = [cut | {"name": f"<b>{EVIL}"} for cut in record["cuts"]]
+    evil = changed(result, cuts=cuts, status="untrusted", error={"code": "E401", "text": EVIL},
+                   warnings=[{"code": "W301", "text": EVIL}], parameters=record["parameters"] | {"image": EVIL},
+                   outputs=record["outputs"] | {EVIL: "a'b\"<c>&#?.nii"})
+    found = Tags(page := evil._repr_html_())
+    assert [attrs.get("src", "")[:5] for tag, attrs in found.tags if tag == "img"] == ["data:"]
+    assert not [attrs for _, attrs in found.tags if any(name.startswith("on") for name in attrs)]
+    assert not {tag for tag, _ in found.tags} & {"script", "style", "link", "iframe"}
+    assert "NOT TO BE TRUSTED" in found.text and found.text.count("alert(1)") >= 4
+    assert page.index("NOT TO BE TRUSTED") < page.index("E401") < page.index("<table")
+    assert "Not checked" not in page and "NOT TO BE TRUSTED" in repr(evil)
+
+
+def test_a_card_is_small_whatever_is_in_the_record(result):
+    many = [{"code": "W301", "text": "x" * 5000}] * 300
+    outputs = result.record["outputs"] | {f"companion:{i}": f"a_{i}.nii.gz" for i in range(500)}
+    page = changed(result, warnings=many, outputs=outputs)._repr_html_()
+    assert len(page) < 200_000
+    assert "and 295 more, in run.json" in page and f"and {len(outputs) - card.FILES} more in the folder" in page
+    assert "Complete, 300 warnings" in page
+
+
+@pytest.mark.parametrize("lost, reason", [("head.nii.gz", "E100"), ("out/head_desc-updated.nii.gz", "E100"),
+                                          ("out/head_solution.vtu", "E100")])
+def test_a_card_without_its_files_says_so(result, home, lost, reason):
+    os.rename(home / lost, home / "elsewhere")
+    try:
+        page = xfemnav.Result.load("out")._repr_html_()
+    finally:
+        os.rename(home / "elsewhere", home / lost)
+    assert "<img " not in page and f"No picture: {reason}" in page and "<table" in page
+
+
+def test_a_record_of_an_earlier_version_has_a_card(result):
+    """Without verdicts, ways to the inputs, and which way round it was shown."""
+    early = {name: fact for name, fact in result.record.items() if name not in ("verdicts", "inputs")}
+    early["parameters"] = {name: value for name, value in early["parameters"].items() if name != "display"}
+    page = xfemnav.Result(result.folder, early)._repr_html_()
+    assert "Complete, without warnings" in page and "No picture: E701" in page
+
+
+def test_a_session_says_where_it_is():
+    session = xfemnav.Session(distmesh(domains.disc(70.0), 12.0), corridor=[[0, 75], [0, 30]])
+    assert repr(session) == f"<xfemnav.Session: {len(session.mesh.points)} nodes, uncut>"
+    session.cut([[0, 75], [0, 30]])
+    session.open(left=1.0, right=1.0)
+    assert "nodes, cut from (0.0, 75.0) to (0.0, 30.0), moved by 0." in repr(session)

@@ -51,6 +51,13 @@ def test_every_picture_is_in_the_report(done):
     assert len(page.encode()) < 1_700_000  # as it is printed, with finer elements, under 2 MB
 
 
+def test_a_notebook_shows_the_step_that_is_asked_for(done, checks):
+    page = xfemnav.Result.load(done.folder, "retract")._repr_html_()
+    assert "after the step <b>retract</b>" in page and "<img " in page
+    assert f"{checks['retract']['max_displacement_mm']:.4g} mm" in page
+    assert repr(xfemnav.Result.load(done.folder, "cut")).endswith("after 'cut': Complete, without warnings>")
+
+
 def test_the_brain_sinks_as_far_as_brains_do(checks):
     """Shift by gravity is 5.7 mm in the mean in the literature; the scenario is made to be near that."""
     assert 4 < checks["drain"]["max_displacement_mm"] < 8

@@ -65,6 +65,33 @@ def _drawn(slice, mask, problem, solution, update, display) -> Figure:
     return figure
 
 
+def draw_pair(slice, mask, paths, update, display: str = NEUROLOGICAL) -> bytes:
+    """A small PNG of the organ before, with the `paths` (k, 2) mm of its cuts, and after; else as `draw_figure`."""
+    whole = _box_of_organ(slice, mask)
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        height = PANEL_IN * (whole[1, 1] - whole[0, 1]) / (whole[1, 0] - whole[0, 0])
+        figure = Figure((2 * PANEL_IN + 3 * GAP_IN, height + TITLE_IN + GAP_IN), DPI)
+        before, after = figure.subplots(1, 2, subplot_kw={"xticks": [], "yticks": []})
+        figure.subplots_adjust(GAP_IN / figure.get_figwidth(), GAP_IN / figure.get_figheight(),
+                               1 - GAP_IN / figure.get_figwidth(), 1 - TITLE_IN / figure.get_figheight(), 0.03)
+        for panel in (before, after):
+            _look_at(panel, whole, mirrored(slice.plane, display))
+        grey = _window(slice, mask)
+        _draw_grey(before, slice, np.where(mask, slice.values, np.nan), grey)
+        for path in paths:
+            _draw_cut(before, path, CUT, "black")
+            _name_lips(before, path, slice.axes, 10, CUT, "black")
+        _updated(after, slice, mask, update, grey)
+        for panel, title in ((before, "before"), (after, "after")):
+            panel.set_title(title)
+            _letters(panel, edges(slice.plane, slice.axes, display), "white")
+            _scale_bar(panel, whole, "white")
+        png = BytesIO()
+        figure.savefig(png, format="png", metadata={"Software": None})
+    return png.getvalue()
+
+
 def _panels(width, height, lines):
     """A figure with six panels, two rows of three, that show a field of `width` by `height` mm each, over a caption."""
     panel, foot = (PANEL_IN, PANEL_IN * height / width), FOOT_IN + lines * LINE_IN
@@ -87,8 +114,8 @@ def _preoperative(panel, slice, problem, grey):
     panel.set_title("(a) preoperative slice with the cut")
     _draw_grey(panel, slice, slice.values, grey)
     for cut in problem.cuts:
-        _draw_cut(panel, cut, CUT, "black")
-        _name_lips(panel, cut, slice.axes, 10, CUT, "black")
+        _draw_cut(panel, cut.path, CUT, "black")
+        _name_lips(panel, cut.path, slice.axes, 10, CUT, "black")
     _draw_resections(panel, problem, CUT, "black")
 
 
@@ -97,7 +124,7 @@ def _mask(panel, slice, mask, problem):
     panel.set_title("(b) mask")
     _draw_grey(panel, slice, mask, (0, 1))
     for cut in problem.cuts:
-        _draw_cut(panel, cut, TIP, "white")
+        _draw_cut(panel, cut.path, TIP, "white")
     _draw_resections(panel, problem, TIP, "white")
 
 
@@ -107,7 +134,7 @@ def _mesh(panel, problem):
     panel.set_title(f"(c) mesh: {len(mesh.points)} nodes, {len(mesh.cells)} triangles")
     _draw_mesh(panel, mesh, "0.5", 0.3)
     for cut in problem.cuts:
-        _draw_cut(panel, cut, "black", "white")
+        _draw_cut(panel, cut.path, "black", "white")
     _draw_resections(panel, problem, "black", "white")
 
 
@@ -129,7 +156,7 @@ def _enrichment(panel, slice, problem, box):
     h, width = _size_at_cuts(problem), box[1, 0] - box[0, 0]
     _draw_enriched(panel, problem, h * PANEL_IN / width)
     for cut in problem.cuts:
-        _name_lips(panel, cut, slice.axes, 24, "black", "white")
+        _name_lips(panel, cut.path, slice.axes, 24, "black", "white")
     zoom = INSET * width / (INSET_CELLS * h)
     for tip in problem.subcells.tips[:1] if zoom > 2 else ():
         inset = panel.inset_axes([*_emptiest_corner(panel, box, problem), INSET, INSET], xticks=[], yticks=[], zorder=6)
@@ -153,7 +180,7 @@ def _draw_enriched(panel, problem, cell_in):
     mesh, J, K = problem.mesh, problem.enrichment.heaviside_nodes, problem.enrichment.tip_nodes
     _draw_mesh(panel, mesh, "0.65", 0.5)
     for cut in problem.cuts:
-        _draw_cut(panel, cut, "black", "white")
+        _draw_cut(panel, cut.path, "black", "white")
     _draw_resections(panel, problem, "black", "white")
     style = dict(ls="none", mfc="none", ms=float(np.clip(0.5 * 72 * cell_in, 2.5, 9.0)), mew=0.9, zorder=5)
     panel.plot(*mesh.points[J].T, marker="o", mec=HEAVISIDE, label=f"set J: {len(J)} nodes, H (Eq. 2)", **style)
@@ -202,8 +229,8 @@ def _draw_mesh(panel, mesh, grey, width):
     panel.plot(*np.insert(mesh.points[mesh.edges], 2, np.nan, axis=1).reshape(-1, 2).T, color=grey, lw=width)
 
 
-def _draw_cut(panel, cut, colour, halo):
-    panel.plot(*cut.path.T, color=colour, lw=1.8, solid_capstyle="butt", path_effects=_halo(3, halo))
+def _draw_cut(panel, path, colour, halo):
+    panel.plot(*path.T, color=colour, lw=1.8, solid_capstyle="butt", path_effects=_halo(3, halo))
 
 
 def _rings(problem):
@@ -216,13 +243,13 @@ def _draw_resections(panel, problem, colour, halo):
         panel.plot(*ring.T, color=colour, lw=1.4, ls=(0, (4, 2)), path_effects=_halo(2.4, halo))
 
 
-def _name_lips(panel, cut, axes, gap, colour, halo):
+def _name_lips(panel, path, axes, gap, colour, halo):
     """The patient's side that each lip lies towards, `gap` points beside it."""
-    start, end = cut.path[0], cut.path[-1]
+    start, end = path[0], path[-1]
     along = (end - start) / np.linalg.norm(end - start)
     left = np.array([-along[1], along[0]]) * ([-1, 1] if panel.xaxis_inverted() else 1)
     for name, side in (("left", left), ("right", -left)):
-        panel.annotate(f"{lip_ends(cut.path, axes)[name]} lip", start + 0.5 * (end - start), gap * side,
+        panel.annotate(f"{lip_ends(path, axes)[name]} lip", start + 0.5 * (end - start), gap * side,
                        textcoords="offset points", color=colour, ha=_alignment(side[0], "right", "left"),
                        va=_alignment(side[1], "top", "bottom"), path_effects=_halo(2.5, halo))
 

@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 from urllib.parse import quote
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
 from xfemnav.errors import FAULTS
 from xfemnav.pipeline.disk import write_atomic
@@ -78,13 +78,9 @@ def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
 
 def render(run: dict, figures: dict[str, bytes]) -> str:
     """The page. Every value is escaped by the template engine: names of files and cuts are other people's text."""
-    page = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
-        lstrip_blocks=True, keep_trailing_newline=True,
-    ).get_template("report.html")
     shown = run["slice"]["plane"], run["slice"]["axes"], run["parameters"]["display"]
     cuts = [(cut["name"], cut["path"]) for cut in run["cuts"]]
-    return page.render(
+    return template("report.html").render(
         title=Path(run["parameters"]["image"]).name,
         status=run["status"],
         verdict=VERDICTS[run["status"]],
@@ -92,8 +88,8 @@ def render(run: dict, figures: dict[str, bytes]) -> str:
         display=convention(*shown),
         lips=lips_told(cuts, *shown),
         error=run.get("error"),
-        figure=_embedded(figures.get("figure")),
-        steps=[step_row(step, _embedded(figures.get(f"figure:{step['name']}")), run["outputs"])
+        figure=embedded(figures.get("figure")),
+        steps=[step_row(step, embedded(figures.get(f"figure:{step['name']}")), run["outputs"])
                for step in run.get("steps", ())],
         pieces=run["pieces"],
         contacts=run["contact"],
@@ -122,7 +118,15 @@ def settings(parameters: dict) -> dict:
     return {name: value for name, value in found.items() if name != "allow_outside"}
 
 
-def _embedded(png: bytes | None) -> str | None:
+def template(name: str) -> Template:
+    """A page of this folder, which escapes every value that is put in."""
+    return Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, keep_trailing_newline=True,
+    ).get_template(name)
+
+
+def embedded(png: bytes | None) -> str | None:
     return base64.b64encode(png).decode() if png else None
 
 

@@ -92,7 +92,7 @@ class Result:
         if "solution" not in record["outputs"]:
             raise XfemnavError("E701", f"the run in {folder} ({record['status']}) has no solution. Run it again.")
         self.folder, self.record, self._image = Path(folder), record, image
-        self._solution, self._cuts = _step_of(record, step)
+        self.step, (self._solution, self._cuts) = step, _step_of(record, step)
         settle_kernel_cache()  # before `motion` imports kernels
 
     @classmethod
@@ -103,6 +103,18 @@ class Result:
         at `image` where it has been moved. Raises E100, E701, and E780 for an unknown step.
         """
         return cls(Path(folder), read_record(Path(folder)), step, image)
+
+    def __repr__(self) -> str:
+        from xfemnav.pipeline.card import verdict
+
+        after = f" after {self.step!r}" if self.step else ""
+        return f"<xfemnav.Result in {str(self.folder)!r}{after}: {verdict(self.record)}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the verdict, the slice before and after, checks, files."""
+        from xfemnav.pipeline.card import card
+
+        return card(self)
 
     @property
     def trusted(self) -> bool:
@@ -131,6 +143,15 @@ class Result:
         not what the run has read.
         """
         return preoperative_slice(self.record, self.folder, self._image)
+
+    @cached_property
+    def updated(self) -> "Slice":
+        """The slice after surgery as the run has written it, an imaging Slice. Raises E701 where it has not."""
+        from xfemnav.imaging.reading import read_image
+        from xfemnav.imaging.slices import take_slice
+
+        image = read_image(self._path(self._solution.replace("solution", "updated")), nifti_frame=self.nifti_frame)
+        return take_slice(image, plane=self.record["slice"]["plane"])
 
     @cached_property
     def organ(self) -> "Mesh":

@@ -78,6 +78,14 @@ class Session:
         self._condense(self._placed(plan))
         self._incision = self._drawn = self._asked = None
 
+    def __repr__(self) -> str:
+        if self._drawn is None:
+            return f"<xfemnav.Session: {len(self.mesh.points)} nodes, uncut>"
+        mouth, tip = (", ".join(f"{x:.1f}" for x in point) for point in self._drawn[[0, -1]])
+        moved = np.linalg.norm(self.nodes, axis=1).max()
+        cut = f"cut from ({mouth}) to ({tip}), moved by {moved:.2f} mm"
+        return f"<xfemnav.Session: {len(self.mesh.points)} nodes, {cut}>"
+
     def cut(self, path: str | ArrayLike) -> None:
         """Cut along a path, from the surface inwards, in the place of the cut before; the blades keep what they do.
 
