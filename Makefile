@@ -7,7 +7,7 @@ FUZZ ?= nifti
 SECONDS ?= 60
 export HEADS
 
-.PHONY: help demo paper worked-case steps batch fuzz test test-all lint docs bench clean
+.PHONY: help demo paper worked-case steps batch fuzz flips test test-all lint docs bench clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 13
@@ -47,6 +47,9 @@ test-all: $(INSTALLED)  ## all tests, long batteries too; the independent refere
 fuzz: $(INSTALLED)  ## make fuzz FUZZ=nifti|dicom|markups|scenario|surface|tracts|table|vtu|record SECONDS=600: coverage-guided nonsense
 	$(BIN)/python -m pip install -q --disable-pip-version-check atheris
 	$(BIN)/python tests/fuzz/fuzz.py $(FUZZ) $(SECONDS)
+
+flips: $(INSTALLED)  ## make flips FORMAT=nii.gz FLIPS=500: bits and bytes of sound files changed at random; without FORMAT all
+	$(BIN)/python -m tests.fuzz.flips $(if $(FORMAT),"$(FORMAT)" $(or $(FLIPS),10000),--write)
 
 lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .

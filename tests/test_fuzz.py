@@ -176,11 +176,20 @@ def mesh_of(corner: str) -> bytes:
     return seeds("vtu")[0].replace(b"0 1 10<", f"{corner}<".encode())
 
 
+def components(count: int) -> bytes:
+    """A triangle off the slice, whose points have displacements of so many components."""
+    array = f'<DataArray type="Float64" Name="displacement" NumberOfComponents="{count}">{"0 " * 3 * count}</DataArray>'
+    return seeds("vtu")[0].replace(b"0 0 10", b"0 0 50").replace(
+        b"<Cells>", f"<PointData>{array}</PointData><Cells>".encode())
+
+
 #: Inputs that were once answered by a traceback, or a warning of numpy's.
 FOUND = {
     "a record without parameters": ("record", lambda: without("parameters")),
     "a triangle of no size": ("vtu", lambda: mesh_of("0 1e-120 10").replace(b"10 1 0 10", b"10 1e-120 0 10")),
     "a triangle out of reach": ("vtu", lambda: mesh_of("0 1e200 10")),
+    "displacements of one component": ("vtu", lambda: components(1)),
+    "displacements of four components": ("vtu", lambda: components(4)),
     "a table with a cell without end": ("table", lambda: b"\5x,y,ux,uy\n" + b"1" * 140_000),
     "a table with a line that ends oddly": ("table", lambda: b"\5x,y,ux,uy\n1,2,3\r4,5\n"),
 }

@@ -4,6 +4,7 @@ import doctest
 import os
 import subprocess
 import sys
+import time
 
 import nibabel as nib
 import numpy as np
@@ -285,6 +286,33 @@ def test_damaged_kernels_are_compiled_anew(tmp_path, monkeypatch):
             path.write_bytes(data)
         assert run() == ["1", "0"], pattern
     assert run() == ["1", "1"]
+
+
+def test_a_seal_holds_what_was_compiled(tmp_path, monkeypatch):
+    """What is damaged while another process runs is not sealed by it; what nobody has sealed is not kept."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    kernels.settle_kernel_cache()
+    folder = tmp_path / os.path.basename(os.environ["NUMBA_CACHE_DIR"])
+    (folder / "geometry_1").mkdir(parents=True)
+    sound, rotten, old, new = (folder / "geometry_1" / f"{name}.nbc" for name in ("sound", "rotten", "old", "new"))
+    for path in (sound, rotten):
+        path.write_bytes(b"compiled")
+    kernels._seal(folder)
+    before = rotten.stat()
+    rotten.write_bytes(b"comqiled")
+    os.utime(rotten, ns=(before.st_atime_ns, before.st_mtime_ns))
+    kernels._seal(folder)  # at the end of a process that began before
+    for path, age in ((old, 2 * kernels.UNSEALED_S), (new, 0)):
+        path.write_bytes(b"compiled")
+        os.utime(path, (time.time() - age,) * 2)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    kernels.settle_kernel_cache()
+    assert {path.stem for path in folder.rglob("*.nbc")} == {"sound", "new"}
+    sound.write_bytes(b"compiled again")
+    kernels._seal(folder)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    kernels.settle_kernel_cache()
+    assert {path.stem for path in folder.rglob("*.nbc")} == {"sound", "new"}
 
 
 def test_transforms_for_other_programs(opened, tmp_path):

@@ -118,8 +118,10 @@ def write_soup(path: Path, slice, rest, moved, cell_data: dict) -> None:
 def read_soup(path: Path, frame) -> tuple[np.ndarray, np.ndarray]:
     """rest, moved (t, 3, 2) plane mm of the file that `write_soup` wrote. Raises E100 and E701."""
     found = read_vtu(path, "E701", ("displacement",))
-    if "displacement" not in found.point_data:
-        raise XfemnavError("E701", f"{path.name} has no point data 'displacement'; it is no solution of xfemnav.")
+    displacement = found.point_data.get("displacement", np.empty(0))
+    if displacement.shape != found.points.shape:
+        raise XfemnavError("E701", f"{path.name} has no point data 'displacement' of three components; it is no "
+                                   "solution of xfemnav.")
     rest = frame.from_world(found.points)[0]
-    moved = rest + found.point_data["displacement"] @ frame.axes[:2].T
+    moved = rest + displacement @ frame.axes[:2].T
     return rest[found.triangles], moved[found.triangles]

@@ -5,8 +5,8 @@ kernels are kept in a folder named by the digest of all code that they can be ma
 that those import: other code finds none of them, and an edit of a reader of files spares them.
 
 A kernel is machine code, and a damaged one ends the process. So their digests are kept beside them, and those that do
-not match are removed before numba looks for any. A kernel is run as it is found: who may write into the folder may run
-what he likes, so it must not be shared.
+not match are removed before numba looks for any; so are old ones without a digest, whose process was killed. A kernel
+is run as it is found: who may write into the folder may run what he likes, so it must not be shared.
 """
 
 import atexit
@@ -34,6 +34,7 @@ KERNEL = re.compile(r"([\w-]+/)*[^/]+\.nb[ic]")
 MADE = re.compile(rf"{KERNEL.pattern}(\.tmp\.\w+)?|{SEALED}|\w+\.compiled|{UNFINISHED.pattern}")
 FOLDER = re.compile(rf"{NAME}[0-9a-f]{{16}}")
 IMPORT = re.compile(r"^\s*from (xfemnav[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+UNSEALED_S = 3600  # a process seals what it compiles at the end of the stage
 FORGET_S = 30 * 86400  # kernels of other code are removed when nothing has been added to them for so long
 
 PASSING = ("no folder for compiled kernels can be written, so they are compiled anew in every run; set NUMBA_CACHE_DIR "
@@ -103,22 +104,43 @@ def _rid_of_damage(folder: Path) -> bool:
     False where one cannot be removed: it may be another user's, and whoever runs it may crash.
     """
     try:
-        sealed = json.loads((folder / SEALED).read_bytes())
-        if not all(map(KERNEL.fullmatch, sealed)) or not all(isinstance(digest, str) for digest in sealed.values()):
-            raise ValueError("no digests of kernels")
-    except FileNotFoundError:
-        return True  # none is sealed yet
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        sealed = _sealed(folder)
+    except (OSError, ValueError):
         with suppress(OSError), open_folder(folder.parent, linked=True) as within:
             remove(folder.name, within, MADE.fullmatch)
         return not any(folder.rglob(COMPILED))
-    return all([_rid_of_damaged(folder / name, digest) for name, digest in sealed.items()])
+    found = {path.relative_to(folder).as_posix(): "" for path in folder.rglob(COMPILED)}
+    return all([_rid_of_damaged(folder / name, digest) for name, digest in (found | sealed).items()])
+
+
+def _sealed(folder: Path) -> dict[str, str]:
+    """The digests under the seal of a folder, by names of kernels; none where there is no seal yet.
+
+    Raises OSError and ValueError for a damaged one.
+    """
+    try:
+        sealed = json.loads((folder / SEALED).read_bytes())
+    except FileNotFoundError:
+        return {}
+    except RecursionError:
+        raise ValueError("no digests of kernels") from None
+    if not isinstance(sealed, dict) or not all(
+            KERNEL.fullmatch(name) and isinstance(digest, str) for name, digest in sealed.items()):
+        raise ValueError("no digests of kernels")
+    return sealed
 
 
 def _rid_of_damaged(path: Path, sealed: str) -> bool:
-    """Remove a kernel whose digest is not the one that was `sealed`; False where that cannot be done."""
+    """Remove a kernel whose digest is not the one that was `sealed`, or that is old and was never ("").
+
+    False where that cannot be done.
+    """
     try:
-        if path.is_file() and file_digest(path) != sealed:
+        if sealed:
+            wrong = path.is_file() and file_digest(path) != sealed
+        else:
+            wrong = path.stat().st_mtime < time.time() - UNSEALED_S
+        if wrong:
             path.unlink()
     except FileNotFoundError:  # numba, or another process, has replaced it
         return True
@@ -138,11 +160,18 @@ def _forget_old(base: Path, name: str) -> None:
 
 
 def _seal(folder: Path) -> None:
-    """Keep the digests of the kernels in `folder`; where that cannot be written, they are not looked at later."""
-    with suppress(OSError, XfemnavError):
-        found = {path.relative_to(folder).as_posix(): file_digest(path) for path in sorted(folder.rglob(COMPILED))}
+    """Keep the digests of the kernels in `folder`; where that cannot be written, they are not looked at later.
+
+    What was sealed and has not been written since keeps its digest: it may be damaged by now.
+    """
+    with suppress(OSError, XfemnavError, ValueError):
+        sealed = _sealed(folder)
+        when = (folder / SEALED).stat().st_mtime_ns if sealed else 0
+        found = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob(COMPILED))}
+        kept = {name: digest for name, digest in sealed.items()
+                if name in found and found[name].stat().st_mtime_ns <= when}
         if found:
-            write_atomic(folder / SEALED, canonical(found))
+            write_atomic(folder / SEALED, canonical({name: file_digest(path) for name, path in found.items()} | kept))
 
 
 def _places() -> Iterator[Path]:
