@@ -25,11 +25,11 @@ paper: $(INSTALLED)  ## the same with the paper's own choices: pointwise lips, u
 	$(BIN)/xfemnav demo -o out/paper --lip-constraint pointwise --corridor-mm 0 --tip-enrichment topological
 
 worked-case: $(INSTALLED)  ## docs/worked-case.md: a cut from the brain surface to a tumour on the phantom
-	$(BIN)/python -m data_synthetic out/phantom
+	$(BIN)/xfemnav example phantom out/phantom
 	$(BIN)/xfemnav run out/phantom/sub-phantom_T1w.nii.gz --cut "58,50.2 25.4,22" --left 2.3,-2.6 --right=-2.3,2.6 -o out/worked-case
 
 steps: $(INSTALLED)  ## docs/steps.md: an operation in five steps on a real slice, from one scenario
-	$(BIN)/python -m data_synthetic.surgery out/surgery
+	$(BIN)/xfemnav example surgery out/surgery
 	$(BIN)/xfemnav run --scenario out/surgery/surgery.toml -o out/steps
 
 # GNU make keeps its -j in MAKEFLAGS; the runs are shared out by the command itself, so that one failure stops no other.

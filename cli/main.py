@@ -23,7 +23,7 @@ from xfemnav.errors import (
     XfemnavWarning,
 )
 from xfemnav.interruption import Interrupted, checkpoint, forget, note_signals
-from xfemnav_cli import batch, run, telling, tools
+from xfemnav_cli import batch, example, run, telling, tools
 from xfemnav_cli.telling import complain, printable
 
 
@@ -36,8 +36,8 @@ def cli():
     """
 
 
-for command in (run.run, *run.stage_commands, run.demo, batch.batch, tools.check, tools.schema, tools.apply,
-                tools.doctor, tools.cache):
+for command in (run.run, *run.stage_commands, run.demo, batch.batch, example.example, tools.check, tools.schema,
+                tools.apply, tools.doctor, tools.cache):
     cli.add_command(command)
 
 

@@ -2,8 +2,8 @@
 
 import argparse
 
-from data_synthetic.files import write
-from data_synthetic.phantom import GRIDS, MOTIONS, TUMOURS, Phantom
+from .files import write
+from .phantom import GRIDS, MOTIONS, TUMOURS, Phantom
 
 
 def main() -> None:

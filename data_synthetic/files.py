@@ -8,7 +8,7 @@ from pathlib import Path
 import nibabel as nib
 import numpy as np
 
-from data_synthetic.phantom import Grid, Phantom, boundary_displacement, cut_path, landmarks
+from .phantom import Grid, Phantom, boundary_displacement, cut_path, landmarks
 
 SCHEMA = "https://raw.githubusercontent.com/Slicer/Slicer/main/Modules/Loadable/Markups/Resources/Schema/" \
          "markups-schema-v1.0.3.json#"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from data_synthetic.phantom import AIR, BRAIN, CSF, GM, SCALP, SKULL, T1, VENTRICLE, WM, Grid, Phantom, radius
+from .phantom import AIR, BRAIN, CSF, GM, SCALP, SKULL, T1, VENTRICLE, WM, Grid, Phantom, radius
 
 HALF_HEIGHT = 70.0  # mm, of the brain
 SHELLS = {SCALP: 14.0, SKULL: 9.0, CSF: 3.0}  # mm from the brain's surface to a shell's own, outermost first

@@ -13,7 +13,7 @@ from math import cos, pi, radians, sin, sqrt
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from data_synthetic.fields import Linear, Sum, Williams, frame, resting, rigid
+from .fields import Linear, Sum, Williams, frame, resting, rigid
 
 AIR, CSF, SKULL, SCALP, GM, WM, VENTRICLE, TUMOUR = range(8)
 BRAIN = (GM, WM, VENTRICLE, TUMOUR)

@@ -1,4 +1,4 @@
-"""An operation on the MNI152 brain as files: `python -m data_synthetic.surgery FOLDER`.
+"""An operation on the MNI152 brain as files: `xfemnav example surgery FOLDER`.
 
 nilearn's T1 image, cut down to the slab about the operation, gets a ring-enhancing tumour in the left frontal lobe.
 With it go a label map of the tumour and the ventricles, the probability of grey matter in larger voxels, a bundle of

@@ -89,8 +89,19 @@ def refused(code, folder) -> str:
     raise AssertionError("opened in silence")
 
 
+def example(folder):
+    """The files of an example, as the installed program writes them."""
+    from xfemnav_cli.main import cli
+
+    cli.main(["example", "phantom", str(folder)], standalone_mode=False)
+    names = [path.name for path in folder.rglob("*") if path.is_file()]
+    assert "sub-phantom_T1w.nii.gz" in names
+    return f"{len(names)} files, from the package xfemnav_examples of the wheel", ""
+
+
 ROWS = [
     Row("D7", "a run, made again from what it left", "its settings stood in run.json alone", made_again),
     Row("D7", "a scenario that leads out of its folder", "no way to allow it", allowed),
+    Row("D8", "the phantom of the pages", "in neither wheel nor sdist", example),
     Row("7", "a run moved, its image moved, changed, gone", "nothing told where the image was", moved),
 ]

@@ -4,10 +4,14 @@ import ast
 import shutil
 import subprocess
 import sys
+import tomllib
+import venv
 import zipfile
+from fnmatch import fnmatch
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from xfemnav.pipeline.layers import LAYERS, reach
@@ -37,6 +41,7 @@ HOMES = {
     "click": {"cli"},
     "lazy_loader": {"root"},
 }
+EXAMPLES = {"xfemnav_examples": "cli/example.py"}  # the package of data_synthetic, and who alone imports it
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal", "data_synthetic", "tests"}
 
 
@@ -69,13 +74,16 @@ def own_layer(module: str) -> str | None:
     return rest[0] if rest and rest[0] in LAYERS else "root"
 
 
-def faults(layer: str, source: str) -> list[str]:
+def faults(layer: str, source: str, module_name: str = "") -> list[str]:
     """What `source`, a module of `layer`, imports against the rules."""
     found = []
     for module, line in imports(source):
         first, own = module.split(".")[0], own_layer(module)
         if first in FORBIDDEN:
             found.append(f"line {line}: {first} is never imported")
+        elif first in EXAMPLES:
+            if module_name != EXAMPLES[first]:
+                found.append(f"line {line}: {first} is imported by {EXAMPLES[first]} alone")
         elif own is not None:
             # The public names at the root are the Python face of the pipeline; whoever imports them depends on it.
             allowed = {"root", *reach(layer)} if layer != "root" else {"root", "pipeline"}
@@ -88,7 +96,7 @@ def faults(layer: str, source: str) -> list[str]:
 
 @pytest.mark.parametrize("path", PACKAGE, ids=lambda path: str(path.relative_to(ROOT)))
 def test_imports_keep_to_the_layers(path):
-    assert faults(layer_of(path), path.read_text()) == []
+    assert faults(layer_of(path), path.read_text(), path.relative_to(ROOT).as_posix()) == []
 
 
 @pytest.mark.parametrize("layer, source", [
@@ -103,6 +111,7 @@ def test_imports_keep_to_the_layers(path):
     ("imaging", "import cv2"),
     ("pipeline", "import pickle"),
     ("cli", "from data_synthetic.phantom import slice_a"),
+    ("cli", "from xfemnav_examples import files"),
 ])
 def test_the_check_sees_a_wrong_import(layer, source):
     assert len(faults(layer, source)) == 1
@@ -142,18 +151,77 @@ def test_importing_the_packages_imports_no_numerics():
     assert done.stdout.strip() == ""
 
 
-@pytest.mark.slow
-def test_wheel_claims_no_foreign_name(tmp_path):
-    """The wheel installs `xfemnav` and `xfemnav_cli` alone: a top-level `cli` would claim that name for everyone."""
-    copy = tmp_path / "source"  # a build leaves files in the folder that it reads
-    for name in ("xfemnav", "cli"):
+def test_examples_stand_on_what_the_wheel_brings():
+    """They go by another name in the wheel: they name each other relatively, and of the project geometry alone."""
+    for path in (ROOT / "data_synthetic").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) and not node.level else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            for name in names:
+                known = name.split(".")[0] in (*sys.stdlib_module_names, "numpy", "scipy", "nibabel", "shapely")
+                assert known or name.startswith("xfemnav.geometry"), f"{path.name} line {node.lineno}: {name}"
+
+
+def test_build_names_every_package_and_its_data():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    folders = {path.parent for path in [*PACKAGE, *(ROOT / "data_synthetic").glob("*.py")]}
+    called = {folder: name for name, folder in settings["package-dir"].items()}
+    packages = {(".".join((called.get(parts[0], parts[0]), *parts[1:]))): folder for folder in folders
+                for parts in [folder.relative_to(ROOT).parts]}
+    assert sorted(packages) == sorted(settings["packages"])
+    for name, folder in packages.items():
+        data = {path.name for path in folder.iterdir() if path.is_file() and path.suffix not in (".py", ".pyc")}
+        patterns = settings["package-data"].get(name, [])
+        assert {file for file in data if not any(fnmatch(file, pattern) for pattern in patterns)} == set(), name
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory):
+    """The sdist, and the wheel that is built of it."""
+    home = tmp_path_factory.mktemp("built")
+    copy = home / "source"  # a build leaves files in the folder that it reads
+    for name in ("xfemnav", "cli", "data_synthetic"):
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, copy)
-    build = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(tmp_path), str(copy)]
-    subprocess.run(build, check=True)
-    with zipfile.ZipFile(next(tmp_path.glob("xfemnav-*.whl"))) as wheel:
+    make = "import sys; from setuptools.build_meta import build_sdist; build_sdist(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", make, home], cwd=copy, check=True, capture_output=True)
+    sdist, = home.glob("*.tar.gz")
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", home, sdist], check=True)
+    return sdist, next(home.glob("xfemnav-*.whl"))
+
+
+@pytest.mark.slow
+def test_wheel_claims_no_foreign_name(built):
+    """It installs `xfemnav`, `xfemnav_cli` and `xfemnav_examples` alone: `cli` would claim that name for everyone."""
+    with zipfile.ZipFile(built[1]) as wheel:
         shipped = {name for name in wheel.namelist() if ".dist-info/" not in name}
     data = [path for end in ("*.html", "*.json", "*.pyi", "py.typed") for path in (ROOT / "xfemnav").rglob(end)]
-    sources = {path.relative_to(ROOT).as_posix() for path in [*PACKAGE, *data]}
-    assert shipped == {f"xfemnav_{name}" if name.startswith("cli/") else name for name in sources}
+    examples = [path for end in ("*.py", "*.toml") for path in (ROOT / "data_synthetic").glob(end)]
+    sources = {path.relative_to(ROOT).as_posix() for path in [*PACKAGE, *data, *examples]}
+    called = {"cli": "xfemnav_cli", "data_synthetic": "xfemnav_examples"}
+    assert shipped == {"/".join((called.get(first, first), *rest)) for first, *rest in (n.split("/") for n in sources)}
+
+
+@pytest.mark.slow
+def test_wheel_alone_has_the_examples(built, tmp_path):
+    """In an environment that sees the libraries, and of this project its wheel alone."""
+    home = tmp_path / "venv"
+    venv.create(home, with_pip=False)
+    site, = (home / "lib").glob("python*/site-packages")
+    with zipfile.ZipFile(built[1]) as wheel:
+        wheel.extractall(site)
+    libraries = tmp_path / "libraries"  # links to what is installed here, without the project
+    libraries.mkdir()
+    for path in Path(np.__file__).parents[1].iterdir():
+        if "xfemnav" not in path.name and path.suffix not in (".pth", ".egg-link"):
+            (libraries / path.name).symlink_to(path)
+    (site / "libraries.pth").write_text(f"{libraries}\n")
+    program = [home / "bin" / "python", "-c", "from xfemnav_cli.main import main; main()"]
+    for name, image in (("phantom", "sub-phantom_T1w.nii.gz"), ("surgery", "sub-mni_T1w.nii.gz")):
+        done = subprocess.run([*program, "example", name, name], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / name / image).is_file() and str(Path(name) / image) in done.stdout.splitlines()
+    code = "import xfemnav, xfemnav_examples as e; print(xfemnav.__file__, e.__file__)"
+    where = subprocess.run([program[0], "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert where.count(str(site)) == 2

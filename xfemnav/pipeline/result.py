@@ -53,7 +53,7 @@ def run(image: AnyPath | None = None, *, scenario: AnyPath | None = None, output
     Cut the phantom, open it by 6 mm, and follow a point on each lip:
 
     >>> import tempfile, xfemnav
-    >>> from data_synthetic import files, phantom
+    >>> from xfemnav_examples import files, phantom
     >>> folder = tempfile.TemporaryDirectory()
     >>> paths = files.write(phantom.Phantom(), folder.name)
     >>> result = xfemnav.run(paths["image"], mask=paths["mask"], cut=phantom.cut_path(), opening_mm=6.0, report=False,

@@ -43,7 +43,7 @@ class Session:
     there is no tissue. `side` is the lip, "left" (+1) or "right" (-1), of points on the cut.
 
     >>> import numpy as np
-    >>> from data_synthetic import domains
+    >>> from xfemnav_examples import domains
     >>> from xfemnav.geometry.distmesh import distmesh
     >>> session = Session(distmesh(domains.disc(70.0), 6.0), corridor=[[0, 75], [0, 30]])
     >>> session.cut([[0, 75], [0, 30]])
