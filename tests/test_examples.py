@@ -7,6 +7,7 @@ import json
 import re
 import shlex
 import shutil
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from small import xfemnav
 
 from data_synthetic import files, surgery
 from data_synthetic.phantom import Phantom
+from xfemnav.errors import XfemnavWarning
 from xfemnav.imaging.markups import write_markups
 from xfemnav.imaging.points import PointSet
 
@@ -100,6 +102,20 @@ def test_an_example_runs_without_a_warning(example, home, monkeypatch, capfd):
 @pytest.mark.parametrize("example", examples(), **IDS)
 def test_an_example_runs_as_it_is_printed(example, home, monkeypatch, capfd):
     check(example.line, home, monkeypatch, capfd)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+def test_python_of_a_page_runs_as_it_is_printed(page, home, monkeypatch):
+    """All blocks in order, one after the other as a reader would; without a warning."""
+    monkeypatch.chdir(home)
+    monkeypatch.setenv("XFEMNAV_CACHE", str(home / "cache"))
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(), re.M | re.S)
+    names = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", XfemnavWarning)
+        for block in blocks:
+            exec(compile(block, page, "exec"), names)
+    assert blocks and names["result"].trusted
 
 
 def test_all_pages_with_scenarios_are_here():
