@@ -5,6 +5,7 @@ been.
 program and the system, and prints how many there were.
 """
 
+import contextlib
 import errno
 import os
 import random
@@ -12,12 +13,15 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from pathlib import Path
 
 import pytest
 from faults.battery import HALF, WRITES, Battery, Fault
-from faults.commands import COMMANDS, remember
+from faults.claims import check_left, check_said, differ, files_in, public
+from faults.commands import COMMANDS, NEW, remember, write_inputs
 from faults.within import Here
+from small import xfemnav
 
 SCRIPT = Path(__file__).parent / "faults" / "everywhere.py"
 HOW = (errno.ENOSPC, errno.EIO, errno.EACCES, HALF)
@@ -83,3 +87,51 @@ def test_a_fault_at_every_call(shim, how, quick_folder, capsys):
     with capsys.disabled():
         print("\n" + "\n".join(line for line in done.stdout.splitlines() if " calls " in line or " faults: " in line))
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+
+
+@contextlib.contextmanager
+def small_disk(place: Path, options: str):
+    """A file system in memory at `place`, as large as the `options` of mount say."""
+    place.mkdir(exist_ok=True)
+    done = subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", place], capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"nothing can be mounted here: {done.stderr.strip()}")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", place], check=True)
+
+
+#: Sizes of a file system up to one on which the command has room, and numbers of files up to those that it makes.
+SIZES = [*(f"size={size}k" for size in range(8, 1024, 64)), *(f"size={size}k" for size in range(1024, 5121, 512)),
+         *(f"size=16m,nr_inodes={number}" for number in range(2, 80, 6))]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("mount") is None, reason="there is no mount")
+@pytest.mark.parametrize("full", ["out", "cache", "both"])
+def test_a_full_file_system(tmp_path, monkeypatch, capfd, full):
+    """A real one, of 8 kB up to 1 MB and more, or with room for few files: E501 or the whole result, and once there is
+    room the same command leaves the right bytes."""
+    remember(monkeypatch.setattr)
+    monkeypatch.chdir(tmp_path)
+    write_inputs(tmp_path)
+    disk, found = tmp_path / "disk", Counter()
+    folders = {name: (disk if full in (name, "both") else tmp_path / "room") / name for name in ("out", "cache")}
+    arguments = [*NEW.arguments, "-o", folders["out"], "-w", folders["cache"]]
+    with small_disk(disk, "size=64m"):
+        assert xfemnav(capfd, *arguments)[0] == 0
+        made = public(files_in(folders["out"]))
+    for options in SIZES:
+        shutil.rmtree(tmp_path / "room" / "out", ignore_errors=True)
+        with small_disk(disk, options):
+            code, stdout, stderr = xfemnav(capfd, *arguments)
+            check_said(code, stdout, stderr, {0, 74})
+            check_left(folders["out"], {}, made, code)
+            found[code] += 1
+            subprocess.run(["mount", "-o", "remount,size=64m,nr_inodes=10000", disk], check=True)
+            assert xfemnav(capfd, *arguments)[0] == 0 and not differ(public(files_in(folders["out"])), made)
+            assert not list(folders["out"].glob(".*"))
+    with capfd.disabled():
+        print(f"\n{full} on a full file system, {len(SIZES)} sizes: {dict(found)}")
+    assert found.keys() == {0, 74}
