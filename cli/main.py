@@ -24,7 +24,7 @@ from xfemnav.errors import (
 )
 from xfemnav.interruption import Interrupted, checkpoint, forget, note_signals
 from xfemnav_cli import batch, example, run, telling, tools
-from xfemnav_cli.telling import complain, printable
+from xfemnav_cli.telling import FLAGS, complain, printable
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -87,7 +87,7 @@ def _outcome(argv: list[str]) -> int:
     except XfemnavError as error:
         if traced:
             traceback.print_exc()
-        complain(str(error))
+        complain(error.told(FLAGS))
         code = error.exit_code or EXIT_DATA
     except (KeyboardInterrupt, click.Abort):  # where the handlers are not ours
         code = 130

@@ -9,7 +9,8 @@ import click
 
 from xfemnav.errors import EXIT_UNTRUSTED, XfemnavError
 from xfemnav.interruption import checkpoint, forget
-from xfemnav_cli.telling import Teller, complain, give_up
+from xfemnav_cli.mistakes import REAL, Command
+from xfemnav_cli.telling import FLAGS, Teller, complain, give_up
 
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
 FILE = click.Path(path_type=Path)
@@ -26,7 +27,7 @@ INPUT = (
     click.option("--allow-outside", is_flag=True, default=None,
                  help="Paths of the scenario may lead out of its folder."),
     click.option("--slice", type=int, metavar="K", help="Voxel index of the slice in a volume."),
-    click.option("--slice-mm", type=float, metavar="S", help="Position of the slice along its normal, mm."),
+    click.option("--slice-mm", type=REAL, metavar="S", help="Position of the slice along its normal, mm."),
     click.option("--plane", type=_choice("axial", "coronal", "sagittal"), help="Plane of the slice."),
     click.option("--mask", type=FILE, help="Mask of the organ: a slice or volume on the image's grid."),
     click.option("--segment-method", type=_choice("auto", "otsu", "vote", "svc"), help="How to find it.  [auto]"),
@@ -35,12 +36,12 @@ INPUT = (
     click.option("--skull-on", type=_choice("auto", "on", "stripped"), help="Is the skull in the image?  [auto]"),
     click.option("--resample-mask", is_flag=True, default=None, help="Accept a mask on another grid."),
     click.option("--volume", type=int, metavar="N", help="Which volume of a 4-D image."),
-    click.option("--nan", type=float, metavar="VALUE", help="Value for NaN and infinite voxels."),
+    click.option("--nan", type=REAL, metavar="VALUE", help="Value for NaN and infinite voxels."),
     click.option("--spacing", metavar="DX,DY[,DZ]", help="Pixel sizes, mm, in place of the header's frame."),
     NIFTI_FRAME,
     click.option("--space", type=_choice("ras", "lps", "voxel"),
                  help="How points are read; vectors of lips are plane RAS in each.  [ras]"),
-    click.option("--max-memory", type=float, metavar="GB", help="Largest image to read.  [4]"),
+    click.option("--max-memory", type=REAL, metavar="GB", help="Largest image to read.  [4]"),
 )
 MESH = (
     click.option("--cut", multiple=True, metavar="'X,Y X,Y ...'|FILE",
@@ -49,37 +50,38 @@ MESH = (
     click.option("--markup", metavar="NAME", help="Which markup of a point file with several."),
     click.option("--resect", multiple=True, metavar="'X,Y X,Y ...'|FILE|label=N,N",
                  help="Closed outline of what is taken out, a point file with it, a mask, or labels of --labels."),
-    click.option("--min-resection-mm", type=float, metavar="D",
+    click.option("--min-resection-mm", type=REAL, metavar="D",
                  help="Smaller bits of a label or mask stay, smaller holes are filled (diameter of the disc).  [4]"),
     click.option("--mesh", type=FILE, metavar="FILE.vtu", help="A mesh of yours: VTU triangles in RAS mm."),
-    click.option("--element-size-mm", type=float, metavar="H", help="Edge length of the elements.  [3]"),
-    click.option("--corridor-mm", type=float, metavar="W", help="Fine band on either side of the cuts; 0: none.  [12]"),
-    click.option("--corridor-element-mm", type=float, metavar="H", help="Edge length there.  [1]"),
+    click.option("--element-size-mm", type=REAL, metavar="H", help="Edge length of the elements.  [3]"),
+    click.option("--corridor-mm", type=REAL, metavar="W", help="Fine band on either side of the cuts; 0: none.  [12]"),
+    click.option("--corridor-element-mm", type=REAL, metavar="H", help="Edge length there.  [1]"),
     click.option("--grade-at-data-ends", is_flag=True, default=None,
                  help="Finer where held lips end and where the outline begins to be held (verification)."),
 )
 MECHANICS = (
-    click.option("--left", metavar="DX,DY", help="Displacement of the left lip, plane mm (of the first cut)."),
-    click.option("--right", metavar="DX,DY", help="Displacement of the right lip, plane mm (of the first cut)."),
+    click.option("--left", metavar="DX,DY|X",
+                 help="Displacement of the left lip of the first cut, plane mm; or mm away from the other lip."),
+    click.option("--right", metavar="DX,DY|X", help="The same of the right lip."),
     click.option("--lip-force", multiple=True, metavar="left=FX,FY", help="Force on a lip, mN per mm of thickness."),
-    click.option("--opening-mm", type=float, metavar="X", help="Open the first cut along its normal, X mm in all."),
+    click.option("--opening-mm", type=REAL, metavar="X", help="Open the first cut along its normal, X mm in all."),
     click.option("--blade", metavar="FROM,TO", help="Held part of the cut: 0 at the mouth, 1 at the tip.  [0,0.8]"),
     click.option("--internal", is_flag=True, default=None, help="The cuts lie inside, with two tips."),
-    click.option("--young-kpa", type=float, metavar="E", help="Young's modulus.  [3]"),
-    click.option("--poisson", type=float, metavar="NU", help="Poisson's ratio.  [0.45]"),
+    click.option("--young-kpa", type=REAL, metavar="E", help="Young's modulus.  [3]"),
+    click.option("--poisson", type=REAL, metavar="NU", help="Poisson's ratio.  [0.45]"),
     click.option("--stress-state", type=_choice("strain", "stress"), help="Plane strain or plane stress.  [strain]"),
     click.option("--labels", type=FILE, help="Label map, for --resect label=N,N and the tissues of a scenario."),
     click.option("--gravity", metavar="X,Y", help="Direction of gravity in the plane, plane RAS; none by default."),
     click.option("--model", type=_choice("linear", "neo-hookean"), help="Small strains or finite ones.  [linear]"),
     click.option("--skull", type=_choice("fixed", "sliding", "free", "contact"),
                  help="What holds the outline.  [fixed]"),
-    click.option("--skull-gap-mm", type=float, metavar="G", help="Gap to the skull, for contact.  [0]"),
+    click.option("--skull-gap-mm", type=REAL, metavar="G", help="Gap to the skull, for contact.  [0]"),
     click.option("--lips", type=_choice("contact", "free"),
                  help="Lips that nobody holds: they do not pass through each other, or are free.  [contact]"),
     click.option("--loose-pieces", type=_choice("refuse", "hold", "remove"),
                  help="Pieces cut free that nothing holds.  [refuse]"),
-    click.option("--craniotomy-mm", type=float, metavar="R", help="Outline freed about a cut's mouth.  [20]"),
-    click.option("--skull-ramp-mm", type=float, metavar="R", help="Length over which the skull's grip sets in.  [4]"),
+    click.option("--craniotomy-mm", type=REAL, metavar="R", help="Outline freed about a cut's mouth.  [20]"),
+    click.option("--skull-ramp-mm", type=REAL, metavar="R", help="Length over which the skull's grip sets in.  [4]"),
     click.option("--boundary-displacement", type=FILE, metavar="FILE.csv",
                  help="Measured motion of the outline: x,y,ux,uy[,side], plane mm read by --space ras or lps."),
     click.option("--tip-enrichment", type=_choice("topological", "geometric", "none"),
@@ -91,7 +93,7 @@ MECHANICS = (
 WARP = (
     click.option("--interp", type=_choice("linear", "cubic", "nearest"), help="Interpolation.  [linear]"),
     click.option("--outside", type=_choice("keep", "zero"), help="Pixels outside the organ.  [keep]"),
-    click.option("--fill", type=float, metavar="VALUE", help="Value of pixels without tissue.  [the background's]"),
+    click.option("--fill", type=REAL, metavar="VALUE", help="Value of pixels without tissue.  [the background's]"),
     click.option("--transforms", type=_choice("none", "itk", "all"),
                  help="The motion for other programs: one ITK transform, or every form and direction.  [itk]"),
 )
@@ -142,7 +144,7 @@ def _with(*groups):
     return decorate
 
 
-@click.command()
+@click.command(cls=Command)
 @_with(IMAGE, INPUT, MESH, MECHANICS, WARP, CARRIED, RUNNING, WHOLE)
 def run(**given):
     """Update IMAGE after a cut: all stages, reusing finished ones."""
@@ -154,7 +156,7 @@ def _stage_command(stage: str, groups: tuple, text: str) -> click.Command:
         return execute(stop_after=stage, no_report=True, **given)
 
     command.__doc__ = text
-    return click.command(name=stage)(_with(IMAGE, *groups, RUNNING)(command))
+    return click.command(name=stage, cls=Command)(_with(IMAGE, *groups, RUNNING)(command))
 
 
 stage_commands = (
@@ -166,7 +168,7 @@ stage_commands = (
 )
 
 
-@click.command()
+@click.command(cls=Command)
 @_with(MESH, MECHANICS, WARP, (NIFTI_FRAME, *CARRIED), RUNNING, WHOLE)
 def demo(**given):
     """The paper's experiment on a real slice: MNI152 T1, axial z = +18 mm, cut and opened by +-(3.5, 1) mm.
@@ -187,14 +189,16 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
             os.environ[f"{name}_NUM_THREADS"] = str(threads)
     from xfemnav.pipeline import job
     from xfemnav.pipeline.config import configure
+    from xfemnav.pipeline.flags import keys
 
+    names = FLAGS if scenario is None else keys(FLAGS)
     teller = Teller(as_json=as_json, quiet=quiet, verbose=verbose)
     try:
         config = configure(image, scenario, flags, until=stop_after or "warp")
         options = job.Options(
             output=output or job.default_output(config.image), cache=cache or job.default_cache(),
             until=stop_after or "warp", force_from=STAGES[0] if force else force_from, report=not no_report,
-            argv=("xfemnav", *sys.argv[1:]),
+            argv=("xfemnav", *sys.argv[1:]), names=names,
         )
         if dry_run:
             return _plan(job.plan(config, options), teller)
@@ -204,8 +208,9 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         forget()  # a signal that comes now ends nothing
     except (XfemnavError, job.Interrupted) as error:
         if as_json:
-            teller.json({"schema": job.SCHEMA} | job.failure(error))
+            teller.json({"schema": job.SCHEMA} | job.failure(error, names))
         if isinstance(error, XfemnavError):
+            error.names = names
             raise
         forget()
         complain("interrupted; finished stages are kept, so the same command goes on from there.")

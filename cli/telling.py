@@ -5,7 +5,13 @@ import os
 import sys
 import threading
 
+from xfemnav.naming import Names, flag
+
 PATIENCE_S = 0.5  # stages that take longer show on a terminal that they work
+
+
+#: How the command line calls settings.
+FLAGS = Names(flag, flag, "See `xfemnav run --help`.", "See `xfemnav run --help`.")
 
 
 def printable(text: str) -> str:

@@ -7,7 +7,9 @@ import click
 
 from xfemnav.errors import EXIT_CONFIG, EXIT_DATA, EXIT_SOME_FAILED, EXIT_UNTRUSTED, XfemnavError
 from xfemnav.interruption import checkpoint
-from xfemnav_cli.telling import complain, put, say
+from xfemnav.naming import said, told
+from xfemnav_cli.mistakes import REAL, Command
+from xfemnav_cli.telling import FLAGS, complain, put, say
 
 FILE = click.Path(path_type=Path)
 FOLDER = click.option("-w", "--cache", "root", type=FILE, metavar="DIR",
@@ -19,18 +21,22 @@ FOLDER = click.option("-w", "--cache", "root", type=FILE, metavar="DIR",
 def check(scenario):
     """List every problem of a SCENARIO file, without running it; or of a finished RUN, given by its folder: outputs and
     inputs that are gone, inputs that have changed since."""
+    from xfemnav.pipeline.flags import keys
+
+    names = keys(FLAGS)
     if scenario.is_dir():
         from xfemnav.pipeline.reopening import run_problems
 
-        found = run_problems(scenario)
-        code = found[0].exit_code if found else 0
+        faults = run_problems(scenario)
+        found = [fault.told(names) for fault in faults]
+        code = faults[0].exit_code if faults else 0
     else:
         from xfemnav.pipeline.config import scenario_problems
 
-        found = scenario_problems(scenario)
+        found = [said(text, names) for text in scenario_problems(scenario)]
         code = EXIT_CONFIG if found else 0
     for line in found:
-        say(str(line))
+        say(line)
     if not found:
         say(f"{scenario}: no problem found")
     return code
@@ -51,7 +57,7 @@ def schema(which):
     put(json.dumps(found, indent=2))
 
 
-@click.command()
+@click.command(cls=Command)
 @click.argument("folder", metavar="RUN", type=FILE)
 @click.argument("files", metavar="FILE...", type=FILE, nargs=-1, required=True)
 @click.option("-o", "--output", type=FILE, metavar="DIR", default=Path(), help="Where to write.  [the current folder]")
@@ -65,7 +71,7 @@ def schema(which):
               help="Order of a tensor's components.  [as the file states, else fsl]")
 @click.option("--outside", type=click.Choice(["keep", "zero"]), default="keep", show_default=True,
               help="Pixels outside the organ.")
-@click.option("--fill", type=float, metavar="VALUE", help="Value of pixels without tissue.  [the background's]")
+@click.option("--fill", type=REAL, metavar="VALUE", help="Value of pixels without tissue.  [the background's]")
 @click.option("--nifti-frame", type=click.Choice(["auto", "sform", "qform"]),
               help="Which frame of a NIfTI header with two is taken.  [that of the run]")
 @click.option("--side", type=click.Choice(["left", "right"]), help="The lip for points on a cut.  [both]")
@@ -85,6 +91,8 @@ def apply(folder, files, output, step, force, **choices):
     from xfemnav.pipeline.apply import apply as apply_to
     from xfemnav.pipeline.result import Result
 
+    if words := swapped(folder, files):
+        raise XfemnavError("E100", words)
     result = Result.load(folder, step)
     kept, failed = set(files), []
     for path in files:
@@ -92,19 +100,27 @@ def apply(folder, files, output, step, force, **choices):
         try:
             done = apply_to(result, path, output, Choices(**choices), step=step, force=force, kept=frozenset(kept))
         except XfemnavError as error:
-            complain(f"{path}: {error}")
+            complain(f"{path}: {error.told(FLAGS)}")
             failed.append(error.exit_code or EXIT_DATA)
             continue
         kept.add(done.target)
         say(f"{path} -> {done.target}  {done.text}")
         for item in done.warnings:
-            complain(f"{path}: {item.code} {item.text}")
+            complain(f"{path}: {item.code} {said(item.text, FLAGS)}")
     if failed:
         return failed[0] if len(files) == 1 else EXIT_SOME_FAILED
     if not result.trusted:
-        complain(f"{result.record['error']['code']} {result.record['error']['text']}")
+        complain(f"{result.record['error']['code']} {told(result.record['error'], FLAGS)}")
         return EXIT_UNTRUSTED
     return 0
+
+
+def swapped(folder: Path, files: tuple[Path, ...]) -> str | None:
+    """Told of a run that is named after the files, not before them."""
+    runs = [path for path in files if (path / "run.json").is_file()]
+    if not runs or (folder / "run.json").exists():
+        return None
+    return f"no run.json in {folder}; the run's folder comes first: xfemnav apply {runs[0]} {folder}"
 
 
 @click.command()
@@ -116,7 +132,7 @@ def doctor(root):
 
     code = 0
     for found in examine(root or default_cache()):
-        say(found.line)
+        say(said(found.line, FLAGS))
         checkpoint()
         code = code or found.exit_code
     return code

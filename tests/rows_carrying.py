@@ -154,7 +154,7 @@ def mrtrix_order(folder):
     nib.save(nib.Nifti1Image(values, affine), folder / "dt.nii.gz")
     with recorded() as warned:
         done()[0].warp(folder / "dt.nii.gz", kind="tensor", axes="world")
-    assert [item.code for item in warned] == ["W133"] and "--tensor-order mrtrix" in warned[0].text
+    assert [item.code for item in warned] == ["W133"] and "⟦tensor_order=mrtrix⟧" in warned[0].text
     with recorded() as right:
         done()[0].warp(folder / "dt.nii.gz", kind="tensor", axes="world", order="mrtrix")
     assert not right

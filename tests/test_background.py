@@ -66,7 +66,7 @@ def test_a_value_of_tissue_is_told():
     assert "W211 fill 500" in told(500.0, tissue, given=True)
     assert told(0.0, tissue, given=True) == told(-5.0, tissue, given=True) == told(0.0, tissue, given=False) == ""
     assert "no background is known" in told(0.0, tissue - 500, given=False)
-    assert "--outside zero" in told(-4.0, (tissue - 500) / 100, given=False, outside="zero")
+    assert 'outside="zero"' in told(-4.0, (tissue - 500) / 100, given=False, outside="zero")
     assert told(0.0, np.array([]), given=True) == ""
     low, _ = np.percentile(tissue, [1, 99])
     assert told(low - 1e-9, tissue, given=True) == "" != told(low + 1e-9, tissue, given=True)

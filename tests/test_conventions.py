@@ -341,7 +341,7 @@ def test_another_order_is_noticed(tmp_path, written, taken):
     data = np.stack([0.3 * (i == j) + 1.4 * e[..., i] * e[..., j] for i, j in ORDERS[written]], axis=-1)
     nib.save(nib.Nifti1Image(data.astype(np.float32), companion_affine("RAS")), tmp_path / "t.nii.gz")
     companion = read_companion(tmp_path / "t.nii.gz", "tensor")
-    with pytest.warns(match=rf"W133.*order is {taken}'s.*Taken as .*{written}.*none has.*--tensor-order"):
+    with pytest.warns(match=rf"W133.*order is {taken}'s.*Taken as .*{written}.*none has.*tensor_order="):
         carry(companion, scene.frame, scene.update, kind="tensor", axes="world", order=taken)
     with quiet():
         carry(companion, scene.frame, scene.update, kind="tensor", axes="world", order=written)

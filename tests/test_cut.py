@@ -64,7 +64,7 @@ def test_a_start_near_an_outline_that_the_line_does_not_meet_goes_the_short_way(
 
 def test_a_start_deep_inside_wants_internal():
     message = refused("E302", [(-44, 0), (0, 0)])
-    assert "6.0 mm" in message and "--internal" in message
+    assert "6.0 mm" in message and "internal=True" in message
     cut = place_cut([(-44, 0), (0, 0)], SQUARE, internal=True)
     assert not cut.mouth and not cut.craniotomy
     assert_allclose(cut.path, [(-44, 0), (0, 0)])
@@ -73,7 +73,7 @@ def test_a_start_deep_inside_wants_internal():
 
 def test_a_cut_outside_is_refused_and_the_frame_suggested():
     boundary = np.add(SQUARE, (100, 0))
-    assert "did you mean --space lps" in refused("E301", [(-120, 0), (-60, 3)], boundary)
+    assert 'did you mean space="lps"' in refused("E301", [(-120, 0), (-60, 3)], boundary)
     assert "did you mean" not in refused("E301", [(0, 200), (3, 160)], boundary)
 
 

@@ -124,7 +124,7 @@ def test_voxel_indices_are_those_of_the_file(order, flips):
 
 def test_a_volume_needs_a_choice_that_exists():
     image = ramp(affine=affine_of(np.diag([1.0, 1.0, 2.0]), (0, 0, 10.0)))  # five axial slices at 10 .. 18 mm
-    with pytest.raises(XfemnavError, match=r"E120 .* 5 axial slices; .* --slice 0 to 4, or --slice-mm 10 to 18"):
+    with pytest.raises(XfemnavError, match=r"E120 .* 5 axial slices; .* slice=0 to 4, or slice_mm=10 to 18"):
         take_slice(image)
     for wrong in ({"index": 5}, {"index": -1}, {"position_mm": 8.9}, {"position_mm": 19.1}, {"position_mm": np.nan},
                   {"plane": "coronal"}, {"plane": "sagittal", "index": 7}):
@@ -200,7 +200,7 @@ def test_the_slice_that_holds_a_line_is_named():
     slice = take_slice(ramp(), index=1)
     for steps in (2, -3):
         points = slice.to_world([[1.0, 2.0], [3.0, 4.0]]) + slice.axes[2] * slice.thickness * (steps + 0.2)
-        with pytest.raises(XfemnavError, match=f"--slice-mm {slice.offset + steps * slice.thickness:.4g}"):
+        with pytest.raises(XfemnavError, match=f"slice_mm={slice.offset + steps * slice.thickness:.4g}"):
             plane_points(slice, points)
 
 

@@ -69,7 +69,7 @@ def test_a_frame_is_the_files_own_before_that_of_its_user():
         assert told.stated and told.frame == "LPS as the file says"
         assert_allclose(told.points, POINTS * LPS, atol=FLOAT32)
         silent = decoded_surface(vtk(), "a.vtk", space)
-        assert not silent.stated and silent.frame == f"{'LPS' if space == 'lps' else 'RAS'} as --space says"
+        assert not silent.stated and silent.frame == f"{'LPS' if space == 'lps' else 'RAS'} as space says"
         assert_allclose(silent.points, POINTS * (LPS if space == "lps" else 1), atol=FLOAT32)
     with pytest.raises(XfemnavError, match=r"E701.*both"):
         decoded_surface(vtk(title="SPACE=LPS SPACE=RAS"), "a.vtk")

@@ -270,7 +270,7 @@ def test_a_mask_that_agrees_by_the_other_frame_is_told_so(head, capfd):
     assert doubted(run(capfd, "head.nii", "--mask", "drawn.nii", "--nifti-frame", "qform", *VOXELS)) == ["drawn.nii"]
     with pytest.raises(XfemnavError) as failure:
         values_on(read_image("one.nii.gz"), take_slice(read_image(write(head / "far.nii", affine=FLAT))))
-    assert "--nifti-frame" not in str(failure.value)
+    assert "nifti_frame" not in str(failure.value)
 
 
 def test_a_session_tells_too(head):

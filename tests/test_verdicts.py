@@ -14,6 +14,7 @@ from small import xfemnav as command
 
 from xfemnav import limits
 from xfemnav.errors import FAULTS
+from xfemnav.naming import said
 from xfemnav.pipeline.runfile import run_schema
 from xfemnav.pipeline.stage_safe import CLOSE, largest_part, scaled, told
 from xfemnav.pipeline.verdicts import BOUNDS, DOUBTS, REASONS, doubts, is_trusted, reasons, stillness, verdicts
@@ -128,12 +129,12 @@ def test_all_that_blades_do_is_scaled_and_nothing_else():
 
 @pytest.mark.parametrize("blades, more, wanted", [
     ([{"side": "left", "normal_mm": 5.0}, {"side": "right", "normal_mm": 5.0}], {},
-     "opening is 0.73 of this one (--opening-mm 7.3)"),
+     "opening is 0.73 of this one (opening_mm=7.3)"),
     ([{"side": "left", "displacement_mm": [0.0, 10.0], "blade": [0.0, 0.6]}], {},
-     "opening is 0.73 of this one (--left=0,7.3 --blade 0,0.6)"),
-    ([{"side": "left", "force_mN_per_mm": [-3.0, 4.0]}], {}, "force is 0.73 of this one (--lip-force left=-2.19,2.92)"),
+     "opening is 0.73 of this one (left=(0, 7.3) blade=(0, 0.6))"),
+    ([{"side": "left", "force_mN_per_mm": [-3.0, 4.0]}], {}, 'force is 0.73 of this one (lip_force="left=-2.19,2.92")'),
     ([{"side": "left", "force_mN_per_mm": [-3.0, 4.0]}, {"side": "right", "displacement_mm": [1.0, 0.0]}], {},
-     "opening and force is 0.73 of this one (--lip-force left=-2.19,2.92 --right=0.73,0)"),
+     'opening and force is 0.73 of this one (lip_force="left=-2.19,2.92" right=(0.73, 0))'),
     ([{"side": "left", "normal_mm": 5.0}], {}, "opening is 0.73 of this one ('left' normal_mm = 3.65)"),
     ([{"side": "left", "displacement_mm": [1.0, 2.0]}], {"step": [{}]},
      "opening is 0.73 of this one ('left' displacement_mm = 0.73,1.46)"),
@@ -142,7 +143,7 @@ def test_the_part_is_told_as_what_to_give(blades, more, wanted):
     empty = {"cut": "cut", "displacement_mm": None, "normal_mm": None, "force_mN_per_mm": None, "relative_to": None,
              "blade": [0.0, 0.8]}
     parameters = {"cut": [{"name": "cut"}], "step": [], "retract": [empty | {"name": b["side"]} | b for b in blades]}
-    assert wanted in told(0.73, parameters | more)
+    assert wanted in said(told(0.73, parameters | more))
     assert told(None, parameters | more).startswith("No part of this ")
 
 
@@ -222,7 +223,7 @@ def test_where_no_part_is_safe_it_says_so(tmp_path):
 
 def test_the_named_opening_can_be_pasted(tmp_path):
     text = run(tmp_path, cut=CUT, opening_mm=44)["error"]["text"]
-    opening = float(re.search(r"--opening-mm ([\d.]+)\)", text)[1])
+    opening = float(re.search(r"opening_mm=([\d.]+)\)", text)[1])
     assert run(tmp_path, cut=CUT, opening_mm=opening)["status"] == "complete"
 
 

@@ -1,11 +1,14 @@
 """One exception family, one warning family, one table of codes.
 
 Every failure carries a stable code, one line that says what is wrong, where it is, and how to mend it.
-`FAULTS` is the only list of codes: the exit status, the text of ``docs/errors.md`` and the program use it.
+`FAULTS` is the only list of codes: the exit status, the text of ``docs/errors.md`` and the program use it. Settings are
+called by marks in it, as in all messages (`xfemnav.naming`).
 """
 
 import warnings
 from typing import NamedTuple
+
+from xfemnav.naming import Names, said
 
 
 class Fault(NamedTuple):
@@ -29,10 +32,10 @@ FAULTS: dict[str, Fault] = {
                   "Copy the file again; check it with `gzip -t FILE`."),
     "E102": Fault(65, "file claims more than it or the memory limit can hold",
                   "The header is wrong, the file is far larger than an image should be, something other than padding follows its voxels, or a file of points unpacks to over a hundred times its size.",
-                  "Check the file's origin, or raise `--max-memory`."),
+                  "Check the file's origin, or raise ⟦max_memory⟧."),
     "E103": Fault(65, "image has NaN or infinite pixels",
                   "A processing step divided by zero or masked with NaN.",
-                  "Give the value to put there: `--nan 0`."),
+                  "Give the value to put there: ⟦nan=0⟧."),
     "E105": Fault(65, "image header is not valid",
                   "A field of the header has an impossible value (dimensions, data type, offset), or one that is needed is missing.",
                   "Convert the image again from its source."),
@@ -47,8 +50,8 @@ FAULTS: dict[str, Fault] = {
                   "Resample the image to a grid with perpendicular axes."),
     "E120": Fault(65, "volume without a chosen slice",
                   "The image has several slices and xfemnav works on one.",
-                  "Give `--slice K` or `--slice-mm S`, and `--plane` when it is not the axial one."),
-    "E121": Fault(65, "image has several volumes", "The image is 4-D.", "Say which one: `--volume N`."),
+                  "Give ⟦slice=K⟧ or ⟦slice_mm=S⟧, and ⟦plane⟧ when it is not the axial one."),
+    "E121": Fault(65, "image has several volumes", "The image is 4-D.", "Say which one: ⟦volume=N⟧."),
     "E122": Fault(65, "image is not a scalar image", "Colour, complex and vector images have no single intensity.",
                   "Convert it to one scalar a voxel."),
     "E123": Fault(65, "folder holds several DICOM series", "The files in it name more than one series.",
@@ -61,33 +64,33 @@ FAULTS: dict[str, Fault] = {
                   "Give its slice at this place, or its whole volume, in the preoperative image's world mm."),
     "E131": Fault(65, "image is not of its kind",
                   "Labels are whole numbers, vectors and axes have 3 values a voxel, symmetric tensors 6; whose axes vectors and tensors are in must be known; whole numbers that may be labels or measurements are not guessed.",
-                  "Give its kind: continuous, label, vector, axis or tensor; and `--axes`, `--tensor-order` as the program that wrote it has them."),
+                  "Give its kind: continuous, label, vector, axis or tensor; and ⟦axes⟧, ⟦tensor_order⟧ as the program that wrote it has them."),
     # 2xx: segmentation and mesh
-    "E201": Fault(65, "mask is empty", "No pixel belongs to the organ.", "Give your own mask: `--mask FILE`."),
+    "E201": Fault(65, "mask is empty", "No pixel belongs to the organ.", "Give your own mask: ⟦mask=FILE⟧."),
     "E202": Fault(65, "image is constant", "Every pixel of the slice has one value; there is nothing to segment.",
-                  "Choose another slice, or give `--mask FILE`."),
+                  "Choose another slice, or give ⟦mask=FILE⟧."),
     "E203": Fault(65, "mask covers the whole slice", "The organ has no outline inside the slice.",
                   "Give a mask with background around the organ."),
     "E204": Fault(65, "mask and image have different grids",
                   "The shapes or affines differ, so pixels do not correspond.",
-                  "Resample the mask yourself, or give `--resample-mask`."),
+                  "Resample the mask yourself, or give ⟦resample_mask=True⟧."),
     "E206": Fault(65, "template cannot be used", "`svc` needs a template image and its mask on one grid.",
-                  "Give both `--template IMG` and `--template-mask FILE`."),
+                  "Give both ⟦template=IMG⟧ and ⟦template_mask=FILE⟧."),
     "E207": Fault(65, "element size does not fit the organ",
                   "The mesh would have too many nodes to solve, or too few to be one.",
-                  "Change `--element-size-mm` or `--corridor-element-mm`."),
+                  "Change ⟦element_size_mm⟧ or ⟦corridor_element_mm⟧."),
     "E208": Fault(65, "mesh is not good enough",
                   "A triangle is too flat, or the mesh lost a part of the outline narrower than its elements.",
-                  "Use a smaller `--element-size-mm`, or smooth the mask."),
+                  "Use a smaller ⟦element_size_mm⟧, or smooth the mask."),
     "E209": Fault(65, "mesh file cannot be used",
-                  "The file given with `--mesh` is no VTU triangle mesh, or its triangles are flat, overlap, do not connect, or lie beside the organ.",
+                  "The file given with ⟦mesh⟧ is no VTU triangle mesh, or its triangles are flat, overlap, do not connect, or lie beside the organ.",
                   "Write it again as a VTU of triangles in mm (RAS)."),
     # 3xx: cuts
     "E301": Fault(65, "cut does not enter the organ", "No part of the cut lies inside the outline.",
-                  "Check the frame of the points: `--space ras|lps|voxel`."),
+                  "Check the frame of the points: ⟦space=ras|lps|voxel⟧."),
     "E302": Fault(65, "cut lies inside the organ without a mouth",
                   "The first point is deeper than 5 mm, so the cut does not start at the surface; or the image ends inside the organ where the cut enters.",
-                  "Start the cut at the surface, or give `--internal`; give an image that holds the organ where the cut enters."),
+                  "Start the cut at the surface, or give ⟦internal=True⟧; give an image that holds the organ where the cut enters."),
     "E303": Fault(65, "cut has no length", "All its points coincide, or there is only one.",
                   "Give at least two different points."),
     "E304": Fault(65, "cut crosses itself", "Two segments of one cut meet.", "Draw it again without the loop."),
@@ -105,7 +108,7 @@ FAULTS: dict[str, Fault] = {
                   "The file holds more than one set of points, or none of the name that is asked for.",
                   "Say which one by its name, or save it alone."),
     "E310": Fault(65, "resection takes nothing of the organ", "No part of its region lies inside the outline.",
-                  "Check the frame of its points: `--space ras|lps|voxel`."),
+                  "Check the frame of its points: ⟦space=ras|lps|voxel⟧."),
     "E311": Fault(65, "resection has no area", "Its loop has fewer than three different points, or encloses less than the mesh can tell; or what a label or mask marks is nowhere on the slice, or all in bits under the size.",
                   "Draw a closed loop around the tissue taken out."),
     "E312": Fault(65, "resection takes the whole organ", "Nothing is left that could move.", "Draw a smaller one."),
@@ -118,17 +121,17 @@ FAULTS: dict[str, Fault] = {
                   "More than 1 mm² of tissue is turned inside out, or grows to more than three times its area; or more than 2 mm² lie twice; or something moves by more than 50 mm. No tissue does that: the model is at its end, or something hangs on by little.",
                   "Give what the message names: the largest part of the opening or force at which the run is trusted, found by solving it. Or hold both lips, or take out what hangs on by little."),
     "E402": Fault(65, "blade is not on the cut", "The blade's fractions are outside 0..1 or leave nothing to hold.",
-                  "Give `--blade FROM,TO` with 0 <= FROM < TO < 1."),
+                  "Give ⟦blade=FROM,TO⟧ with 0 <= FROM < TO < 1."),
     "E403": Fault(65, "two retractions hold one lip", "Two blades overlap on the same lip.",
                   "Give each lip one blade over each span."),
     "E404": Fault(65, "material constant out of range", "Young's modulus must be positive and Poisson's ratio in 0..0.499.",
-                  "Correct `--young-kpa` or `--poisson`."),
+                  "Correct ⟦young_kpa⟧ or ⟦poisson⟧."),
     "E405": Fault(65, "left and right look swapped",
                   "What is held pushes the lips into each other, or the outline through the skull.",
-                  "Swap `--left` and `--right`; left is left when walking from the mouth to the tip."),
+                  "Swap ⟦left⟧ and ⟦right⟧; left is left when walking from the mouth to the tip."),
     "E406": Fault(65, "nothing holds the organ",
                   "The outline is free and no blade holds the tissue, so it can move rigidly; or a load or a lip carries it, or a piece of it, away from the skull that it touches; or it moves farther than the organ is large.",
-                  "Use `--skull fixed`, hold a lip or an arc of the outline, and check the units of loads and stiffness."),
+                  "Use ⟦skull=fixed⟧, hold a lip or an arc of the outline, and check the units of loads and stiffness."),
     "E407": Fault(70, "linear system was not solved",
                   "Its residual is above the limit, its energy has no minimum, or the forces between lips were not found; or, in a session, tissue beside the cut is too stiff for it.",
                   "In a session, make a run of the cut; else report this with the run's parameters."),
@@ -142,76 +145,76 @@ FAULTS: dict[str, Fault] = {
                   "The neo-Hookean tissue was squeezed flat or buckled before all of the load was on it.",
                   "Ask for no more than the part of the load that the message names; leave out tip functions and fine grading."),
     "E411": Fault(78, "lips by Nitsche's condition are linear", "Its tractions are those of linear elasticity.",
-                  "Use `--lip-constraint mortar` with the neo-Hookean model."),
+                  "Use ⟦lip_constraint=mortar⟧ with the neo-Hookean model."),
     # 5xx: writing
     "E501": Fault(74, "no space left on the disk", "A result could not be stored.",
                   "Free some space and run the same command again; finished stages are kept."),
     "E502": Fault(73, "cannot write there", "The folder is read-only or belongs to somebody else.",
-                  "Give another folder with `-o` or `-w`."),
-    "E503": Fault(75, "another run holds this output folder", "Two runs write to one folder.", "Wait for it, or give another `-o`."),
+                  "Give another folder with ⟦output⟧ or ⟦cache⟧."),
+    "E503": Fault(75, "another run holds this output folder", "Two runs write to one folder.", "Wait for it, or give another ⟦output⟧."),
     "E504": Fault(73, "folder is no cache", "It holds files that xfemnav has not made, and a cache may be pruned.",
-                  "Give an empty folder, or one that is not there yet, with `-w`."),
+                  "Give an empty folder, or one that is not there yet, with ⟦cache⟧."),
     # 7xx: other files and settings
     "E701": Fault(65, "file cannot be read", "A file beside the image is not in its format.", "Write it again."),
     "E702": Fault(65, "input has changed since the run", "A file that the run has read holds something else now, so that the run's motion is not of it.",
                   "Put the file of then back, or run again with the one of now."),
     "E731": Fault(73, "output would overwrite a file that is not its own",
                   "The output folder holds a file that the run reads, or one of an output's name that no `run.json` there claims.",
-                  "Give another `-o`, or move the file."),
+                  "Give another ⟦output⟧, or move the file."),
     "E780": Fault(78, "scenario or option is not valid", "A value has the wrong type, name or range.",
                   "The message lists every problem with its place."),
     "E781": Fault(78, "scenario names a file outside its folder", "Paths in a scenario stay in its folder, so that a scenario from elsewhere reads no file of yours.",
-                  "Move the file, pass it on the command line, or allow it: `--allow-outside`, `allow_outside = true`."),
+                  "Move the file, pass it on the command line, or allow it: ⟦allow_outside=True⟧ (in a scenario, `allow_outside = true`)."),
     "E800": Fault(71, "not enough memory", "The mesh or the image is larger than the memory that the run may use.",
                   "Use larger elements, a smaller image, or a machine with more memory."),
-    "E900": Fault(70, "bug in xfemnav", "Something happened that should not.", "Report it with the traceback from `-vv`."),
+    "E900": Fault(70, "bug in xfemnav", "Something happened that should not.", "Report it with its traceback."),
     # warnings
     "W104": Fault(0, "intensity scaling ignored", "scl_slope or scl_inter is NaN or infinite.", "Check the header."),
     "W107": Fault(0, "file name and content disagree", "The content is gzip without .gz, or the other way round.", "Rename it."),
     "W112": Fault(0, "no position in the header", "The header does not say how its axes lie in the patient (NIfTI: qform and sform codes are 0; NRRD: no space; MGH: goodRASFlag is 0; GIfTI: space unknown, no VolGeom).",
-                  "Do not trust world positions; use `--space voxel`."),
+                  "Do not trust world positions; use ⟦space=voxel⟧."),
     "W113": Fault(0, "files in a DICOM folder skipped", "They are no DICOM images.", "Check that no slice is among them."),
     "W114": Fault(0, "two frames in the header",
                   "The NIfTI header's qform and sform, or the voxel sizes beside them, put the organ at different places; programs built on ITK (3D Slicer, ANTs) may take the other one.",
-                  "Say which one with `--nifti-frame sform|qform`, and draw in a program that takes the same; the message names it."),
+                  "Say which one with ⟦nifti_frame=sform|qform⟧, and draw in a program that takes the same; the message names it."),
     "W115": Fault(0, "tracts without a frame",
                   "The .trk file does not say where its voxels lie (no vox_to_ras, or no voxel_order), or says it for voxels of another size than its own; the message says what was taken in its place.",
                   "Write it again with a reference image; check where the tracts lie."),
     "W130": Fault(0, "companion does not cover the tissue", "It has no voxels for a part of it, which has the value of pixels without tissue.",
                   "Do not read it as a measurement."),
     "W131": Fault(0, "points look as if in another frame", "Most of a file's landmarks, or of a surface, lie in the organ only when x and y change sign: LPS read as RAS, or the other way round. Or nothing says in which frame the x,y,z of a .tsv count.",
-                  "Check what the file says of its frame: CoordinateSystem, or its columns (r,a,s is RAS, l,p,s and the x,y,z of a .csv are LPS); of a surface that says nothing give `--space lps`."),
+                  "Check what the file says of its frame: CoordinateSystem, or its columns (r,a,s is RAS, l,p,s and the x,y,z of a .csv are LPS); of a surface that says nothing give ⟦space=lps⟧."),
     "W132": Fault(0, "points lie off the slice", "Landmarks, or all of a surface, are farther than half a slice from its plane, and were moved as the tissue of the slice beside them.",
                   "Do not trust them, or take the slice that holds them."),
     "W133": Fault(0, "tensors in another order",
                   "Over 1 % of the organ's tensors have a negative eigenvalue in the order that was taken.",
-                  "Give the order that the message names: `--tensor-order`."),
+                  "Give the order that the message names: ⟦tensor_order⟧."),
     "W134": Fault(0, "vectors shrink",
                   "Neighbouring vectors point in different directions, so that interpolated ones are shorter.",
                   'If they are axes (principal directions), give `kind = "axis"`.'),
     "W135": Fault(0, "kind of the image guessed",
                   "Its name and its header do not say what the values are; its data look like labels, or like measurements.",
-                  'Say it: `--kind`, or `kind` of the companion.'),
+                  "Say it: ⟦kind⟧."),
     "W136": Fault(0, "bytes after the voxels",
                   "Zeros follow the voxels that the header describes; they are not looked at.",
                   "None needed, if the program that wrote the file pads it."),
     "W205": Fault(0, "mask cleaned", "Smaller components were dropped or holes filled.", "Check the mask."),
     "W206": Fault(0, "segmentation is doubtful", "Its methods disagree, its outline does not stand out, its size is unusual, or it is not clear whether the skull is off.",
-                  "Look at the figure; give `--mask FILE` if it is wrong."),
+                  "Look at the figure; give ⟦mask=FILE⟧ if it is wrong."),
     "W207": Fault(0, "a part of the mask was lost", "A part hangs on by less than two pixels, and its outline is not the organ's.",
                   "Look at the mask; widen the neck, or take the part off."),
     "W208": Fault(0, "parts of a region are left out",
                   "Of a label or mask that is taken out, separate bits under the size of a resection stay, and what is under two pixels wide.",
-                  "None needed for specks; else a smaller `--min-resection-mm`, or a drawn outline."),
+                  "None needed for specks; else a smaller ⟦min_resection_mm⟧, or a drawn outline."),
     "W209": Fault(0, "mask has several values",
                   "A mask holds more than 0 and one other value, as a label map, an image or a soft mask do.",
                   "See which pixels were taken: those not 0, or, where there are fractions, half of the range or more."),
     "W210": Fault(0, "shreds taken out",
                   "Tissue that a resection encloses, or that hangs on by less than an element, goes with it.",
-                  "Look at the figure; smaller elements keep thin tissue, `--loose-pieces hold` what is enclosed."),
+                  "Look at the figure; smaller elements keep thin tissue, ⟦loose_pieces=hold⟧ what is enclosed."),
     "W211": Fault(0, "fill looks like tissue",
-                  "The value for pixels without tissue, or the 0 of `--outside zero`, lies among the values of the organ (1st to 99th percentile).",
-                  "Leave `--fill` out, for the background's value; or give one that the organ does not have. Leave `--outside zero` out."),
+                  "The value for pixels without tissue, or the 0 of ⟦outside=zero⟧, lies among the values of the organ (1st to 99th percentile).",
+                  "Leave ⟦fill⟧ out, for the background's value; or give one that the organ does not have. Leave ⟦outside=zero⟧ out."),
     "W212": Fault(0, "image ends inside the organ",
                   "The organ touches the image's border, where there is no skull; the outline is held there.",
                   "Give an image that holds the whole organ, or do not trust the motion beside the border."),
@@ -225,7 +228,7 @@ FAULTS: dict[str, Fault] = {
                   "Move the blade, or take the shred out."),
     "W306": Fault(0, "thin strip of tissue",
                   "A strip of tissue is under three elements wide, where linear triangles are too stiff.",
-                  "Use a smaller `--corridor-element-mm`."),
+                  "Use a smaller ⟦corridor_element_mm⟧."),
     "W311": Fault(0, "small loose piece removed", "A piece smaller than an element was cut free and is not in the result.", "None needed."),
     "W312": Fault(0, "loose piece removed", "A piece that nothing holds was cut free, and removed as asked.", "Check that it was taken out."),
     "W313": Fault(0, "loose piece held at its mean", "A piece that nothing holds was cut free, and kept in its place in the mean as asked.",
@@ -238,15 +241,15 @@ FAULTS: dict[str, Fault] = {
     "W403": Fault(0, "tissue lies twice", "A lip that nobody holds has moved through the other, or tissue has folded over itself.",
                   "Hold both lips, or use a smaller displacement."),
     "W404": Fault(0, "blade shortened", "The end of a blade that was given is closer than two elements to the tip.",
-                  "Use a smaller TO in `--blade`, or smaller elements."),
+                  "Use a smaller TO in ⟦blade⟧, or smaller elements."),
     "W405": Fault(0, "nearly incompressible tissue", "Above Poisson's ratio 0.48 linear triangles stiffen in plane strain: energy or displacement is over 5 % off.",
                   "Use 0.45 to 0.48, or smaller elements, and report the ratio."),
     "W406": Fault(0, "strain beyond the model",
                   "1 % of the main tissue (all but what is far softer) is strained by more than 0.3, which neither small strains nor the neo-Hookean material describe.",
-                  "Use a smaller displacement; from 0.1 on, where the check is amber, `--model neo-hookean` is the better one."),
+                  "Use a smaller displacement; from 0.1 on, where the check is amber, ⟦model=neo-hookean⟧ is the better one."),
     "W407": Fault(0, "tissue turned or blown up",
                   "Small rotations misplace tissue that turns by more than 1 mm, more than 10 mm² double or halve their area, or something moves by more than 20 mm.",
-                  "Look at the place that the message names for a piece that hangs on by little; use `--model neo-hookean`, or a smaller displacement."),
+                  "Look at the place that the message names for a piece that hangs on by little; use ⟦model=neo-hookean⟧, or a smaller displacement."),
     "W408": Fault(0, "pressure or stiffness out of range",
                   "A blade presses with more than 100 mmHg, or Young's modulus of the main tissue is not in 0.1 to 100 kPa: a unit is probably wrong.",
                   "Give Young's modulus in kPa, forces in mN per mm of thickness."),
@@ -256,20 +259,40 @@ FAULTS: dict[str, Fault] = {
     "W410": Fault(0, "contact hangs on springs",
                   "What only touches the skull is kept in place by artificial springs, and the answer depends on them.",
                   "Hold an arc of the outline or a lip."),
+    "W411": Fault(0, "lip moved towards the other",
+                  "One number moves a lip away from the other lip, on either side of the cut, and this one is negative.",
+                  "To part the lips, give a positive number on both sides; else two numbers, the displacement in the plane."),
     "W601": Fault(0, "damaged cache entry recomputed", "A cached file did not match its checksum.", "Check the disk."),
-    "W602": Fault(0, "cache is off", "The cache folder cannot be written.", "Give another folder with `-w`."),
+    "W602": Fault(0, "cache is off", "The cache folder cannot be written.", "Give another folder with ⟦cache⟧."),
     "W702": Fault(0, "input has changed since the run", "A run was made again from its `scenario.toml`, and a file of it is not what it was.",
                   "None, where the change is meant; else put the file of then back."),
 }
 
 
 class XfemnavError(Exception):
-    """A failure with a stable `code` of `FAULTS` and a one-line message: what, where, how to mend it."""
+    """A failure with a stable `code` of `FAULTS` and a one-line text: what, where, how to mend it.
 
-    def __init__(self, code: str, message: str):
-        super().__init__(f"{code} {message}")
-        self.code = code
-        self.message = message
+    In `text` settings are marked (`xfemnav.naming`); `message`, and the error as text, call them as arguments of Python.
+    An edge that calls them otherwise says so in `names`, or asks for what is `told` there.
+    """
+
+    names: Names | None = None
+
+    def __init__(self, code: str, text: str):
+        super().__init__(code, text)
+        self.code, self.text = code, text
+
+    def __str__(self) -> str:
+        return f"{self.code} {self.message}"
+
+    @property
+    def message(self) -> str:
+        """The text for users of Python."""
+        return said(self.text)
+
+    def told(self, names: Names) -> str:
+        """Code and text in one line, settings as the run's edge calls them, or else as in `names`."""
+        return f"{self.code} {said(self.text, self.names or names)}"
 
     @property
     def exit_code(self) -> int:
@@ -278,16 +301,24 @@ class XfemnavError(Exception):
 
 
 class XfemnavWarning(UserWarning):
-    """A choice of the user's that deserves a look; `code` is one of the Wnnn of `FAULTS`."""
+    """A choice of the user's that deserves a look; `code` is one of the Wnnn of `FAULTS`, `text` and `message` are as
+    those of an error."""
 
-    def __init__(self, code: str, message: str):
-        super().__init__(f"{code} {message}")
-        self.code = code
-        self.message = message
+    def __init__(self, code: str, text: str):
+        super().__init__(code, text)
+        self.code, self.text = code, text
+
+    def __str__(self) -> str:
+        return f"{self.code} {self.message}"
+
+    @property
+    def message(self) -> str:
+        """The text for users of Python."""
+        return said(self.text)
 
 
-def warn(code: str, message: str) -> None:
-    """Issue a coded warning; the pipeline records it in run.json, `--strict` makes it an error."""
+def warn(code: str, text: str) -> None:
+    """Issue a coded warning; the pipeline records it in run.json, a strict run makes it an error."""
     if code not in FAULTS:
         raise KeyError(code)
-    warnings.warn(XfemnavWarning(code, message), stacklevel=2)
+    warnings.warn(XfemnavWarning(code, text), stacklevel=2)

@@ -49,6 +49,10 @@ MOVED = Limit(20.0, "mm", "largest displacement; more is farther than brains shi
 MOVED_AT_ALL = Limit(50.0, "mm", "largest displacement; more is not trusted (E401)")
 STILL = Limit(0.1, "mm", "smallest displacement that is one (W409)")
 
+# 0.006 for 6 mm: what a displacement would be if its number were in metres.
+LEAST_METRES = Limit(0.5, "mm", "smallest displacement that may have been given in metres (W409)")
+MOST_METRES = Limit(50.0, "mm", "largest displacement that may have been given in metres (W409)")
+
 # 0 to 75 mmHg were measured under retractors, 100 mmHg are 13.3 kPa.
 PRESSURE = Limit(13.332, "kPa", "mean pressure of a blade (W408)")
 SOFTEST = Limit(0.1, "kPa", "smallest Young's modulus of the main tissue that a brain may have (W408)")

@@ -14,6 +14,8 @@ from xfemnav.geometry.mesh import frozen_array
 PROLONG_MM = 5.0
 #: A cut that starts deeper, but as near as this to another cut, is a branch of it (mm).
 BRANCH_MM = 2.0
+#: Signs of plane coordinates that were read in another frame, and what to say of them.
+FLIPS = {(-1, -1): "", (-1, 1): " (or a left-right flip)"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,8 @@ def left_normals(path) -> np.ndarray:
 
 
 def place_cut(
-    path, boundary, name: str = "cut", *, internal: bool = False, craniotomy: bool = True, others=()
+    path, boundary, name: str = "cut", *, internal: bool = False, craniotomy: bool = True, others=(),
+    space: str = "ras",
 ) -> Cut:
     """Clip a drawn path to the organ and find its mouth.
 
@@ -66,6 +69,7 @@ def place_cut(
     boundary : (b, 2) mm, the organ's (mesh's) outline, a closed loop whose last point is not repeated.
     internal : the cut lies inside, with two tips and no mouth.
     craniotomy : the skull is open about the mouth.
+    space : how the path was read (ras, lps), for messages.
     others : paths (k, 2) mm of the other cuts. A cut that starts on one of them, deep inside, is its branch: it has no
         mouth, and its start is put on that cut (W304 when it was moved).
 
@@ -85,7 +89,7 @@ def place_cut(
         if part.geom_type == "LineString" and _is_interior(part, organ)
     ]
     if not inside:
-        raise XfemnavError("E301", _never_enters(path, organ, name))
+        raise XfemnavError("E301", _never_enters(path, organ, name, space))
     if len(inside) > 1:
         again = np.round(inside[1].coords[0], 1).tolist()
         raise XfemnavError(
@@ -116,7 +120,8 @@ def place_cut(
         raise XfemnavError(
             "E302",
             f"cut '{name}' starts {depth:.1f} mm inside the organ, at {_mm(clipped[0])}; start it at the "
-            "surface or on another cut, or give --internal for a cut with two tips.",
+            f"surface or on another cut, or give ⟦internal=True⟧ for a cut with two tips."
+            f"{_would_enter(path, organ, space)}",
         )
     warn("W301", f"cut '{name}' started {depth:.1f} mm inside the outline and was prolonged to it.")
     return Cut(np.vstack([_backwards_to(organ, clipped), clipped]), name, mouth=True, craniotomy=craniotomy)
@@ -185,14 +190,28 @@ def _refuse_touching(part, organ, name):
         )
 
 
-def _never_enters(path, organ, name):
+def other_frame(space: str, sign: tuple[int, int]) -> str:
+    """What points may be meant in that were read in `space`, if these signs of theirs are wrong."""
+    return f"⟦space={'ras' if space == 'lps' else 'lps'}⟧{FLIPS[sign]}"
+
+
+def _never_enters(path, organ, name, space):
     distance = organ.distance(shapely.Point(path[0]))
     text = f"cut '{name}' does not enter the organ: the organ is {distance:.1f} mm from its first point {_mm(path[0])}."
-    flips = {"--space lps": (-1, -1), "--space lps (or a left-right flip)": (-1, 1)}
-    for hint, sign in flips.items():
+    for sign in FLIPS:
         if organ.intersects(shapely.LineString(path * sign)):
-            return f"{text} With the sign of its coordinates changed it would: did you mean {hint}?"
-    return f"{text} Check the frame of the points: --space ras|lps|voxel."
+            return f"{text} With the sign of its coordinates changed it would: did you mean {other_frame(space, sign)}?"
+    return f"{text} Check the frame of the points: ⟦space=ras|lps|voxel⟧."
+
+
+def _would_enter(path, organ, space):
+    """What to say where the path, with other signs, would begin at the surface and enter."""
+    for sign in FLIPS:
+        start, line = shapely.Point(path[0] * sign), shapely.LineString(path * sign)
+        if organ.intersects(line) and (organ.distance(start) > 0 or organ.exterior.distance(start) <= PROLONG_MM):
+            return (" With the sign of its coordinates changed it would start there: did you mean "
+                    f"{other_frame(space, sign)}?")
+    return ""
 
 
 def _backwards_to(organ, path):

@@ -7,6 +7,7 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
+from xfemnav.geometry.cut import FLIPS, other_frame
 from xfemnav.geometry.mesh import frozen_array
 
 #: Parts and holes of a region whose mean width is smaller than this are drawing noise (mm).
@@ -51,7 +52,7 @@ class Resection:
         return shapely.contains_xy(self.region, points[:, 0], points[:, 1])
 
 
-def place_resection(rings, boundary, name: str = "resection", source: str = "") -> Resection:
+def place_resection(rings, boundary, name: str = "resection", source: str = "", space: str = "ras") -> Resection:
     """Clip a drawn region to the organ.
 
     Parameters
@@ -59,7 +60,7 @@ def place_resection(rings, boundary, name: str = "resection", source: str = "") 
     rings : closed loops (k, 2) mm, plane frame, as drawn; a point is inside when an odd number of them go around it.
         A loop that leaves the organ takes its surface with it.
     boundary : (b, 2) mm, the organ's (mesh's) outline, a closed loop whose last point is not repeated.
-    source : what it was drawn by, such as a label and its file, for messages.
+    source, space : what it was drawn by, such as a label and its file, and how points were read, for messages.
 
     Raises
     ------
@@ -73,7 +74,7 @@ def place_resection(rings, boundary, name: str = "resection", source: str = "") 
         raise XfemnavError("E311", f"{what} has no area; draw a closed loop around the tissue taken out.")
     region = without_slivers(shapely.intersection(drawn, organ))
     if region.is_empty:
-        raise XfemnavError("E310", _never_meets(drawn, organ, what))
+        raise XfemnavError("E310", _never_meets(drawn, organ, what, space))
     refuse_all(region, organ, what)
     return _freed(name, region, organ)
 
@@ -199,11 +200,12 @@ def _checked(ring, what):
     return ring
 
 
-def _never_meets(region, organ, what):
+def _never_meets(region, organ, what, space):
     distance, at = organ.distance(region), np.asarray(region.centroid.coords)[0]
     where = f"about ({at[0]:.1f}, {at[1]:.1f}) mm, {distance:.1f} mm from it"
     text = f"{what} takes nothing of the organ: it lies {where}."
-    for hint, sign in {"--space lps": (-1, -1), "--space lps (or a left-right flip)": (-1, 1)}.items():
+    for sign in FLIPS:
         if organ.intersects(shapely.transform(region, lambda x, sign=sign: x * sign)):
-            return f"{text} With the sign of its coordinates changed it would not: did you mean {hint}?"
-    return f"{text} Check the frame of its points: --space ras|lps|voxel."
+            meant = other_frame(space, sign)
+            return f"{text} With the sign of its coordinates changed it would not: did you mean {meant}?"
+    return f"{text} Check the frame of its points: ⟦space=ras|lps|voxel⟧."

@@ -71,12 +71,12 @@ def warn_of_blank(blank: float, tissue, name: str, *, given: bool, outside: str 
     low, high = ends
     among = f"lies among the organ's values in {name} ({low:.4g} to {high:.4g})"
     if _is_among(blank, tissue):
-        warn("W211", f"fill {blank:g} {among}: pixels without tissue look like it. Leave --fill out for the "
+        warn("W211", f"fill {blank:g} {among}: pixels without tissue look like it. Leave ⟦fill⟧ out for the "
                      "background's value." if given else
                      f"no background is known that differs from the tissue: {blank:g} {among}, and pixels without "
-                     f"tissue look like it. Give a value beyond them, such as --fill {low - (high - low):.3g}.")
+                     f"tissue look like it. Give a value beyond them, such as ⟦fill={low - (high - low):.3g}⟧.")
     if outside == "zero" and _is_among(0.0, tissue):
-        warn("W211", f"0 {among}: with --outside zero all about the organ looks like it. Leave it out to keep what is "
+        warn("W211", f"0 {among}: with ⟦outside=zero⟧ all about the organ looks like it. Leave it out to keep what is "
                      "there.")
 
 

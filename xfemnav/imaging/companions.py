@@ -225,7 +225,7 @@ def _warn_of_order(given, values, order: str) -> None:
     least = min(shares.values())
     better = [name for name, share in shares.items() if share == least <= NEGATIVE_TENSORS.value]
     has = "none" if least == 0 else f"{least:.2g} %"
-    advice = (f"Taken as {' or '.join(better)}, {has} has: --tensor-order {better[0]}." if better else
+    advice = (f"Taken as {' or '.join(better)}, {has} has: ⟦tensor_order={better[0]}⟧." if better else
               "No order that xfemnav knows is better: are they tensors?")
     warn("W133", f"{shares[order]:.0f} % of the tensors of {given.companion.name} in the organ have a negative "
                  f"eigenvalue when their order is {order}'s. {advice}")

@@ -29,7 +29,7 @@ TIMES, SMALL = 100, 1 << 24
 IMAGE = {
     "no file": ("E106", "{path} is a pipe, a device or a folder, not a file. Give a file."),
     "empty": ("E106", "{name} is empty (0 bytes); copy it again."),
-    "large": ("E102", "{name} holds {size}, over the limit of {limit}; raise it with --max-memory if the file is "
+    "large": ("E102", "{name} holds {size}, over the limit of {limit}; raise it with ⟦max_memory⟧ if the file is "
                       "right."),
     "unread": ("E101", "cannot read {name}: {reason}. Copy it again."),
 }
@@ -171,7 +171,7 @@ class Forwards:
             self._end += len(part)
             if self._end > self._limit:
                 raise XfemnavError("E102", f"{self._name} unpacks to more than {size(self._limit)}, all that the limit "
-                                           "leaves; raise it with --max-memory if the file is right.")
+                                           "leaves; raise it with ⟦max_memory⟧ if the file is right.")
             del self._kept[: max(self._at - self.BACK - self._start, 0)]
         found = bytes(self._kept[self._at - self._start : self._at - self._start + n_bytes])
         self._at += len(found)

@@ -182,7 +182,7 @@ def _check_pixels(elements: Elements, room: int, name: str) -> None:
     wanted = rows * columns * bits // 8
     if 16 * rows * columns > room:  # read and returned in float64
         raise XfemnavError("E102", f"header of {name} claims {columns} x {rows} pixels, more than fit into the "
-                                   f"{size(room)} that the limit leaves. Raise --max-memory if the header is right.")
+                                   f"{size(room)} that the limit leaves. Raise ⟦max_memory⟧ if the header is right.")
     if (fields["syntax"] in COMPRESSED) != (length == UNDEFINED):
         raise impossible(name, "pixels: compressed ones lie in fragments, and no others")
     if length == UNDEFINED:

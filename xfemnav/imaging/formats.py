@@ -89,7 +89,7 @@ def check_affine(affine: np.ndarray, name: str) -> None:
     if not is_usable(affine):
         rows = "; ".join(" ".join(f"{x:.4g}" for x in row) for row in affine[:3])
         raise XfemnavError("E110", f"affine of {name} cannot be used: rows {rows} give voxels no size or no position "
-                                   "in mm. Fix its header, or give the pixel sizes: --spacing 0.9,0.9.")
+                                   "in mm. Fix its header, or give the pixel sizes: ⟦spacing=0.9,0.9⟧.")
 
 
 def impossible(name: str, what: str) -> XfemnavError:

@@ -131,7 +131,7 @@ def _two_places(name: str, frames: Frames, points) -> str | None:
         too = " too" if theirs == taken else ""
         too += f", with the voxel sizes of its pixdim, which puts it up to {off:.1f} mm away" if sizes else ""
         return (f"{name}: its sform and qform lie up to {apart:.1f} mm apart in the organ. The {taken} was taken, as "
-                f"nibabel does; {ITK} take the {theirs}{too}. Say which one is right, --nifti-frame sform or qform, "
+                f"nibabel does; {ITK} take the {theirs}{too}. Say which one is right, ⟦nifti_frame=sform|qform⟧, "
                 "and draw where the same one is shown.")
     if sizes:
         return (f"{name}: its {taken} and its pixdim state different voxel sizes. The {taken} was taken as it is, as "
@@ -148,7 +148,7 @@ def _lacking(name: str, image: str, frames: Frames, wanted: str, points) -> str 
     if apart <= APART.value:
         return None
     return (f"{name} has no {taken}: its {other} was taken, but of {image} the {taken}, which lies up to {apart:.1f} "
-            f"mm from its {other} in the organ. If the two do not lie on each other, give --nifti-frame {other}.")
+            f"mm from its {other} in the organ. If the two do not lie on each other, give ⟦nifti_frame={other}⟧.")
 
 
 def _farthest(here: np.ndarray, there: np.ndarray | None, points) -> float:

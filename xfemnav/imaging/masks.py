@@ -87,7 +87,7 @@ def one_piece(mask: np.ndarray) -> np.ndarray:
     mask = np.asarray(mask, bool)
     whole = filled(largest_component(mask))
     if not whole.any():
-        raise XfemnavError("E201", f"the mask is empty: none of {mask.size} pixels is organ. Give a --mask FILE.")
+        raise XfemnavError("E201", f"the mask is empty: none of {mask.size} pixels is organ. Give a ⟦mask=FILE⟧.")
     if whole.all() and not mask.all():
         raise XfemnavError("E203", f"the mask marks what surrounds the organ, {mask.mean():.0%} of the slice up to its "
                                    "edge: it looks inverted, or its background is not 0. Give the organ's pixels.")

@@ -71,7 +71,7 @@ def read_frame(head: bytes, name: str, wanted: str = "auto") -> tuple[np.ndarray
         affine = _affine(raw, which)
     except (ValueError, nibabel.spatialimages.HeaderDataError) as error:
         raise XfemnavError("E110", f"affine of {name} cannot be used: {error}. Fix its qform, or give the pixel "
-                                   "sizes: --spacing 0.9,0.9.") from None
+                                   "sizes: ⟦spacing=0.9,0.9⟧.") from None
     check_affine(affine, name)
     code = codes[which == "qform"]
     return affine, code if code in nibabel.nifti1.xform_codes.value_set() else 1  # 1: some scanner's frame

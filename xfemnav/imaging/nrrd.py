@@ -157,7 +157,7 @@ def _units(fields, name: str) -> np.ndarray:
     units = [word.strip().lower() for word in re.findall(r'"([^"]*)"', fields.get("space units", ""))][:3]
     if set(units) - set(MM_PER_UNIT):
         raise XfemnavError("E110", f"{name} has the space units {units}; xfemnav knows mm, cm, m and um. Convert it, "
-                                   "or give the pixel sizes: --spacing 0.9,0.9.")
+                                   "or give the pixel sizes: ⟦spacing=0.9,0.9⟧.")
     return np.array([MM_PER_UNIT[unit] for unit in units] + [1.0] * (3 - len(units)))
 
 

@@ -31,7 +31,7 @@ def outline_of(mask: np.ndarray, origin, spacing) -> np.ndarray:
     organ = max(polygons, key=lambda part: part.area, default=shapely.Polygon())
     if organ.area == 0:
         raise XfemnavError("E201", f"the mask has no inside: its {int(np.sum(mask))} pixels are nowhere two wide. "
-                                   "Give another --mask.")
+                                   "Give another ⟦mask=FILE⟧.")
     lost = sum(part.area for part in polygons) - organ.area
     if lost > SPECK * organ.area:
         area = lost * float(np.prod(spacing))

@@ -162,7 +162,7 @@ def _stored(path, limit: int, nifti_frame: str, spacing=None, all_volumes=False)
     affine, code = source.frame() if spacing is None else (_plain_affine(spacing, name), 0)
     if code == 0 and spacing is None:
         warn("W112", f"{name} states no position: {source.no_position}. Do not trust positions in mm; use "
-                     "--space voxel.")
+                     "⟦space=voxel⟧.")
     _check_size(source.header, limit, name, all_volumes)
     frames = source.frames if spacing is None else None
     return _Stored(source.header, source.voxels(), affine, code, source.file_digest, name, frames)
@@ -204,7 +204,7 @@ def _folder(path: Path, limit: int, name: str) -> _Source:
         n_bytes += len(files[file])
         if n_bytes > limit:
             raise XfemnavError("E102", f"the files of {name} hold more than the limit of {content.size(limit)}; raise "
-                                       "it with --max-memory if the folder is right.")
+                                       "it with ⟦max_memory⟧ if the folder is right.")
     found = series.read_series(path, files, limit)
     return _Source(found.header, found.frame, found.voxels, series.NO_POSITION, content.listed_digest(hashes))
 
@@ -266,7 +266,7 @@ def _check_size(header, limit: int, name: str, all_volumes: bool) -> None:
     needed = header.n_bytes + 8 * math.prod(header.shape if all_volumes else header.shape[:3])
     if needed > limit:
         raise XfemnavError("E102", f"header of {name} claims {shape} voxels, {content.size(needed)} in memory; the "
-                                   f"limit is {content.size(limit)} and nothing was read. Raise --max-memory if the "
+                                   f"limit is {content.size(limit)} and nothing was read. Raise ⟦max_memory⟧ if the "
                                    "header is right.")
 
 
@@ -299,7 +299,11 @@ def _one_volume(voxels: np.ndarray, volume, name: str) -> np.ndarray:
     volumes = _volumes(voxels)
     n_volumes = volumes.shape[3]
     if volume is None and n_volumes > 1:
-        raise XfemnavError("E121", f"{name} holds {n_volumes} volumes; say which one: --volume 0 to {n_volumes - 1}.")
+        raise XfemnavError("E121", f"{name} is 4-D and holds {n_volumes} volumes; say which one: ⟦volume=0⟧ to "
+                                   f"{n_volumes - 1}.")
+    if volume and n_volumes == 1:
+        raise XfemnavError("E121", f"{name} has one volume, so there is no volume {volume}; leave out ⟦volume⟧, which "
+                                   "is for 4-D images. A slice of a 3-D one is chosen by ⟦slice=K⟧ or ⟦slice_mm=S⟧.")
     if volume is not None and not 0 <= volume < n_volumes:
         raise XfemnavError("E121", f"{name} has no volume {volume}; it holds 0 to {n_volumes - 1}.")
     return volumes[..., volume or 0]
@@ -326,7 +330,7 @@ def _finite(values: np.ndarray, nan, name: str) -> np.ndarray:
     if nan is None:
         first = tuple(int(i) for i in np.unravel_index(np.argmax(bad), bad.shape))
         raise XfemnavError("E103", f"{name} has {int(bad.sum())} NaN or infinite voxels, the first at index {first} "
-                                   f"(over {LARGEST:.1e} counts as infinite). Give the value to put there: --nan 0.")
+                                   f"(over {LARGEST:.1e} counts as infinite). Give the value to put there: ⟦nan=0⟧.")
     return np.where(bad, float(nan), values)
 
 

@@ -102,7 +102,7 @@ def warn_of_left(found: Marked, frame: Slice, region, organ, least_mm2: float) -
         shares = ", ".join(f"{(found.labels[apart] == kind).sum() * pixel:.3g} mm2 of label {kind}" for kind in kinds)
         what = f"{apart.sum() * pixel:.3g} mm2 of {found.name}" + (f" ({shares})" if len(kinds) > 1 else "")
         largest = np.bincount(bits[apart]).max() * pixel
-        why = f"under {least_mm2:.3g} mm2, the disc of --min-resection-mm"
+        why = f"under {least_mm2:.3g} mm2, the disc of ⟦min_resection_mm⟧"
         if largest >= least_mm2:
             why = f"of {largest:.3g} mm2 at most, under two pixels wide" + (f", or {why}" if n_bits > 1 else "")
         warn("W208", f"{what} stay: {n_bits} separate bit{'s' * (n_bits > 1)} {why}.")

@@ -115,7 +115,7 @@ def _prior(slice: Slice, work: "Working", mask, template: Image | None, template
     if mask is not None:
         return work.forth(clean(mask, slice.spacing).astype(float)) > 0.5
     if template is None or template_mask is None:
-        raise XfemnavError("E206", "svc needs a prior: --mask FILE, or --template IMG with --template-mask FILE.")
+        raise XfemnavError("E206", "svc needs a prior: ⟦mask=FILE⟧, or ⟦template=IMG⟧ with ⟦template_mask=FILE⟧.")
     same_shape = template.values.shape == template_mask.values.shape
     if not same_shape or not np.allclose(template.affine, template_mask.affine, atol=1e-3):
         raise XfemnavError("E206", f"{template.name} and {template_mask.name} have different grids; give one grid.")
@@ -137,7 +137,7 @@ def _result(slice: Slice, mask: np.ndarray, method: str, info: dict, *doubts: st
     if area > BRAIN_MM2.value and method != "mask":
         doubts.insert(0, f"its area is {area:.0f} mm2, and a brain's is {BRAIN_MM2.value:g} at most")
     if doubts:
-        warn("W206", f"the segmentation ({method}) is doubtful: {'; '.join(doubts)}. Look at it; give --mask FILE.")
+        warn("W206", f"the segmentation ({method}) is doubtful: {'; '.join(doubts)}. Look at it; give ⟦mask=FILE⟧.")
     if length := touching(mask, slice.spacing):
         warn("W212", f"the image ends inside the organ along {length:.0f} mm of its border: there is no skull there, "
                      "and the outline is held. Do not trust the motion beside it; give an image that holds the whole "

@@ -144,7 +144,7 @@ def _frame(folder: Path, planes: list[dicom.Plane]) -> tuple[np.ndarray, int]:
     if spacing is None or any(p.spacing is None or abs(p.spacing - spacing).max() > SKEW * spacing.min()
                               for p in planes):
         raise XfemnavError("E110", f"{name} has slices without PixelSpacing, or with different ones. Give the pixel "
-                                   "sizes: --spacing 0.9,0.9,2.")
+                                   "sizes: ⟦spacing=0.9,0.9,2⟧.")
     stated = first.position is not None and first.turn is not None
     turn = first.turn if stated else np.eye(3)[:2]
     if not abs(turn @ turn.T - np.eye(2)).max() <= SKEW:  # nor NaN

@@ -4,7 +4,7 @@ A slice is taken from an image in any storage order and turned to plane axes e1,
 to be nearest to +R, +A, +S (axial R, A; coronal R, S; sagittal A, S). Plane coordinates of a world point p are
 (p.e1, p.e2) mm. All 48 storage orders of one grid give the same slice; only what writes back to the file differs.
 
-Voxel indices that a user gives (`index`, ``--space voxel``) count from 0 in the file's own storage order, as nibabel
+Voxel indices that a user gives (`index`, space 'voxel') count from 0 in the file's own storage order, as nibabel
 and 3D Slicer show them. What is given in mm does not depend on the order.
 """
 
@@ -145,7 +145,7 @@ def _plane(image: Image, nearest, plane: str | None) -> str:
     if len(single) > 1:
         raise XfemnavError("E105", f"{image.name} is a line of {_by(shape)} voxels, not a slice.")
     if plane is not None and single and plane != single[0]:
-        raise XfemnavError("E120", f"{image.name} is one {single[0]} slice, no {plane} one; leave out --plane.")
+        raise XfemnavError("E120", f"{image.name} is one {single[0]} slice, no {plane} one; leave out ⟦plane⟧.")
     return plane or (single[0] if single else "axial")
 
 
@@ -162,7 +162,7 @@ def _perpendicular(e1, e2, name: str):
 def _index(name: str, plane: str, offsets: np.ndarray, thickness: float, index, position_mm) -> int:
     """Voxel index of the slice that is asked for; slices lie at `offsets` (n,) mm along the normal."""
     n, low, high = len(offsets), offsets.min(), offsets.max()
-    choices = f"--slice 0 to {n - 1}, or --slice-mm {low:.4g} to {high:.4g}"
+    choices = f"⟦slice=0⟧ to {n - 1}, or ⟦slice_mm={low:.4g}⟧ to {high:.4g}"
     if index is None and position_mm is None:
         if n > 1:
             raise XfemnavError("E120", f"{name} has {n} {plane} slices; say which one: {choices}.")
@@ -203,7 +203,7 @@ def _where_it_lies(slice: Slice, world, distance) -> str:
     low, high, thickness = distance.min(), distance.max(), slice.thickness
     steps = thickness * np.rint((low + high) / 2 / thickness)
     if max(high - steps, steps - low) <= thickness / 2 * (1 + 1e-6):
-        return f"Choose the slice that holds it: --slice-mm {slice.offset + steps:.4g}."
+        return f"Choose the slice that holds it: ⟦slice_mm={slice.offset + steps:.4g}⟧."
     flat = [name for name, axes in PLANES.items() if np.ptp(world[:, axes[2]]) < FLAT]
     own = slice.plane if slice.plane in flat or not flat else flat[0]
     if flat:
@@ -263,7 +263,7 @@ def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.n
         raise XfemnavError("E204", f"grids differ: {image.name} has {_by(image.values.shape)} voxels of {_by(size)} mm,"
                                    f" the first at ({_at(first)}); the slice has {_by(like.values.shape)} pixels of "
                                    f"{_by(like.spacing)} mm, the first at ({_at(like.to_world(like.origin))}). "
-                                   f"{_by_other_frames(image, like)}Resample it, or give --resample-mask.")
+                                   f"{_by_other_frames(image, like)}Resample it, or give ⟦resample_mask=True⟧.")
     if resample is None:
         return image.values[tuple(np.moveaxis(nearest, -1, 0))]
     from scipy.ndimage import map_coordinates
@@ -283,7 +283,7 @@ def _by_other_frames(image: Image, like: Slice) -> str:
             matrix = np.linalg.inv(affine) @ own @ np.linalg.inv(like.affine)
             voxels = places @ matrix[:3, :3].T + matrix[:3, 3]
             if _same_grid(voxels, np.rint(voxels).astype(int), image):
-                return f"By the {wanted} of their headers they are one grid: --nifti-frame {wanted}. "
+                return f"By the {wanted} of their headers they are one grid: ⟦nifti_frame={wanted}⟧. "
     return ""
 
 

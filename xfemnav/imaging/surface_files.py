@@ -94,7 +94,7 @@ def _frame(form: Form, name: str, space: str) -> tuple[np.ndarray, str, bool]:
         warn("W112", f"{name} states no position: {form.doubt}.")
         return np.eye(4), "RAS, for the file does not say", False
     space = space if space in FRAMES else "ras"  # pixels are no frame of a surface
-    return FRAMES[space], f"{space.upper()} as --space says", False
+    return FRAMES[space], f"{space.upper()} as space says", False
 
 
 def _check_mark(content: bytes, name: str, ending: str) -> None:

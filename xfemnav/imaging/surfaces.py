@@ -67,7 +67,7 @@ class MovedSurface:
     def warn_of_frame(self, name: str, frame: Slice, outline) -> None:
         """W131 where the surface in the file `name` seems to count in another frame, W132 where it lies all on one side
         of the slice, so that none of it is known to move as its tissue does."""
-        mend = "Check the frame that the file states." if self.surface.stated else "Say its frame: --space lps or ras."
+        mend = "Check the frame that the file states." if self.surface.stated else "Say its frame: ⟦space=lps|ras⟧."
         warn_of_frame(self.surface.points, name, frame, outline, mend)
         distance = frame.from_world(self.surface.points)[1]
         if min(distance.max(), -distance.min()) < -frame.thickness / 2:

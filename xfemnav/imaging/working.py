@@ -55,7 +55,7 @@ def working_copy(slice: Slice) -> Working:
     values = slice.values
     if values.max() == values.min():
         raise XfemnavError("E202", f"the {slice.plane} slice at {slice.offset:.2f} mm is constant ({values[0, 0]:g}): "
-                                   "choose another one, or give --mask FILE.")
+                                   "choose another one, or give ⟦mask=FILE⟧.")
     # Air is darker than any tissue, but a constant that a program wrote there may lie amid the values of tissue.
     outside = background(values)
     if outside.mean() > LEAST_BACKGROUND:

@@ -50,7 +50,7 @@ def without_blades(space: Space, cuts, resections, outline: OutlineConditions, l
         raise XfemnavError(
             "E406",
             "nothing but blades holds the organ, so where their lips lie under the loads alone cannot be told; use "
-            '--skull fixed, or say relative_to = "rest" of each [[retract]].',
+            '⟦skull=fixed⟧, or say relative_to = "rest" of each [[retract]].',
         ) from None
     conditions = stack([conditions, at_rest(space.enrichment, gone)], n_dof)
     touching = [outline.contacts]

@@ -183,7 +183,7 @@ def _too_much(problem, reached):
     lips = f" (lips moved by up to {reached * np.linalg.norm(moves, axis=-1).max():.2f} mm)" if moves else ""
     return (
         f"no equilibrium of the neo-Hookean tissue was found beyond {100 * reached:.1f} % of the load{lips}; "
-        "ask for no more than that, or use --skull-ramp-mm 4, --tip-enrichment none, and no --grade-at-data-ends."
+        "ask for no more than that, or use ⟦skull_ramp_mm=4⟧, ⟦tip_enrichment=none⟧, and no ⟦grade_at_data_ends⟧."
     )
 
 

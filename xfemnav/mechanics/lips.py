@@ -141,7 +141,7 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
         raise XfemnavError(
             "E402",
             f"nothing of cut '{cuts[k].name}' ({end:.1f} mm) is left for the blade to hold; use a longer cut "
-            "or smaller elements (--corridor-element-mm).",
+            "or smaller elements (⟦corridor_element_mm⟧).",
         )
     given = retraction.blade is not None and retraction.blade_given
     if given and max(start - asked[0], asked[1] - stop) > 1e-9:
@@ -223,7 +223,7 @@ def pointwise_rows(space: Space, retraction: Retraction, span, group: int, hold_
         raise XfemnavError(
             "E402",
             "a blade holds no place where its cut crosses a mesh edge, so pointwise conditions hold nothing; use a "
-            "longer blade, smaller elements, or --lip-constraint mortar.",
+            "longer blade, smaller elements, or ⟦lip_constraint=mortar⟧.",
         )
     path = space.subcells.paths[retraction.cut]
     ends = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])

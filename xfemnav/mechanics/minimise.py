@@ -205,7 +205,7 @@ def _unsettled(contacts, G, gap, T):
         raise XfemnavError(
             "E405",
             f"what is held pushes {what} by {-gap[worst]:.2g} mm at ({x:.1f}, {y:.1f}) mm; "
-            "correct the displacements there, or give --lips free.",
+            "correct the displacements there, or give ⟦lips=free⟧.",
         )
     return np.flatnonzero(~settled)
 
@@ -237,7 +237,7 @@ def pressed(lu, A, b, q, G, gap):
     raise XfemnavError(
         "E407",
         f"the forces between {len(gap)} touching places were not found: a gap is off by {error:.1e} mm; "
-        "hold both lips of the cut, or give --lips free, and please report this with the run's parameters.",
+        "hold both lips of the cut, or give ⟦lips=free⟧, and please report this with the run's parameters.",
     )
 
 

@@ -63,7 +63,7 @@ def sort_out(
             raise XfemnavError(
                 "E406",
                 "nothing holds the organ: its outline is free and no blade holds it, so it could move rigidly; "
-                "use --skull fixed, or hold a lip.",
+                "use ⟦skull=fixed⟧, or hold a lip.",
             )
         fates[k] = "removed" if is_crumb or (loose == "remove" and k) else "held" if loose == "hold" else "refused"
         what = f"{area[bodies[k]]:.3g} mm2 ({100 * area[bodies[k]] / area[bodies].sum():.2g} % of the tissue)"
@@ -106,10 +106,10 @@ def _tell(space, cuts, resections, retractions, parts, what, fate, removes):
     pulled = any((r.cut, r.side) in sides and not r.holds for r in retractions)
     if fate == "refused" or (fate == "removed" and pulled):
         why = "a retractor pulls on that piece, but" if pulled else "and"
-        remedy = "hold the piece, or say what to do with it: --loose-pieces remove|hold."
+        remedy = "hold the piece, or say what to do with it: ⟦loose_pieces=remove|hold⟧."
         if removes:
             largest = "the largest piece is not removed: " if fate == "refused" else ""
-            remedy = f"{largest}hold it by a blade or the skull, or say --loose-pieces hold."
+            remedy = f"{largest}hold it by a blade or the skull, or say ⟦loose_pieces=hold⟧."
         raise XfemnavError(
             "E306",
             f"{by} {'frees' if len(names) < 2 else 'free'} a piece of {what} about {place}, {why} nothing holds it; "

@@ -179,7 +179,7 @@ def pose(
         raise ValueError(f"model is {model!r}, not one of {MODELS}")
     skull.refuse_mouths(cuts)
     if model != "linear" and lip_constraint == "nitsche":
-        raise XfemnavError("E411", "lips by Nitsche's condition are linear; use --lip-constraint mortar with it.")
+        raise XfemnavError("E411", "lips by Nitsche's condition are linear; use ⟦lip_constraint=mortar⟧ with it.")
     if material.stress_state == "strain" and (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:
         warn(
             "W405",

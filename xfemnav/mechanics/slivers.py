@@ -38,7 +38,7 @@ def warn_of_strips(space: Space, cuts, resections) -> None:
             "W306",
             f"{first} runs along {beside} for {length:.1f} mm, {narrow.min():.1f} to {narrow.max():.1f} mm from it, "
             f"near ({x:.1f}, {y:.1f}) mm: a strip of under {STRIP_ELEMENTS.value:g} elements, here of {h:.1f} mm, is "
-            f"too stiff; use --corridor-element-mm {max(fine, 0.1):g} or less there, or do not trust how it bends.",
+            f"too stiff; use ⟦corridor_element_mm={max(fine, 0.1):g}⟧ or less there, or do not trust how it bends.",
         )
 
 

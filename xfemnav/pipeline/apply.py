@@ -61,7 +61,7 @@ def apply(result: Result, path: Path, folder: Path, choices: Choices = Choices()
     path, folder = Path(path), Path(folder)
     carry = _kind_of(path)
     if choices.inverse and carry is not _points:
-        raise XfemnavError("E780", f"{path.name} holds no points, and --inverse is for points alone. Leave it out.")
+        raise XfemnavError("E780", f"{path.name} holds no points, and ⟦inverse⟧ is for points alone. Leave it out.")
     target = folder / output_name(path, step, inverse=choices.inverse)
     targets = [target, *([folder / sidecar_name(target.name)] if carry is _image else [])]
     _refuse(targets, {path, *kept, *_own(result)}, force)
@@ -189,6 +189,7 @@ def _refuse(targets: list[Path], kept: set[Path], force: bool) -> None:
     for target in targets:
         if target.resolve() in own:
             raise XfemnavError("E731", f"the output would overwrite {target}, which is an input or was made just now. "
-                                       "Give another folder with -o.")
+                                       "Give another folder with ⟦output⟧.")
         if os.path.lexists(target) and not force:
-            raise XfemnavError("E731", f"{target} exists. Give another folder with -o, or --force to replace it.")
+            raise XfemnavError("E731", f"{target} exists. Give another folder with ⟦output⟧, or ⟦force=True⟧ to "
+                                       "replace it.")

@@ -95,7 +95,7 @@ class Cache:
         except XfemnavError as error:
             if error.code != "E502" or self._spare is None:
                 raise
-            warn("W602", f"the cache folder {self.root} cannot be written ({error.message.split(': ')[-1]}); what is "
+            warn("W602", f"the cache folder {self.root} cannot be written ({error.text.split(': ')[-1]}); what is "
                          "computed is not kept for the next run.")
         self._obtain = self._spare()._obtain
         return self._obtain(key, build, force)

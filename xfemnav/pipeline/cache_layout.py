@@ -68,7 +68,7 @@ def refuse_foreign(path: Path, root: int) -> None:
     other = min(wrong, default=None) or (None if tagged else next(_foreign(root, here), None))
     if other is not None:
         raise XfemnavError("E504", f"{path} is no cache of xfemnav: it holds {other}. Give an empty folder, or one "
-                                   "that is not there yet, with -w.")
+                                   "that is not there yet, with ⟦cache⟧.")
 
 
 def _foreign(root: int, here: set[str]) -> Iterator[str]:

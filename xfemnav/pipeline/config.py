@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import decoded, file_bytes
 from xfemnav.pipeline.crosscheck import OUTLINE, actors
-from xfemnav.pipeline.flags import FLAG_OF, add_flags, confined, numbers, path_places, printed
+from xfemnav.pipeline.flags import FLAGS, add_flags, confined, numbers, path_places, printed
 from xfemnav.pipeline.parameters import (
     BLADE,
     KINDS,
@@ -48,7 +48,7 @@ TABLE = {"no file": ("E408", "{name} is a folder, pipe or device, not a file. Co
 
 STAGES = ("segment", "mesh", "constrain", "solve", "warp")
 
-NO_CUT = "cut: nothing moves: give a cut (--cut 'x,y x,y ...'), a resection, gravity, or a measured boundary"
+NO_CUT = "nothing moves: give a cut (⟦cut=x,y x,y ...⟧), a resection, gravity, or a measured boundary"
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,8 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     from xfemnav.pipeline.scenario import read_toml, validated
 
     raw, files, flags = {"xfemnav": 1}, {}, dict(flags or {})
+    if image is not None and str(image).lower().endswith(".toml"):
+        raise XfemnavError("E780", f"{image} is a scenario, not an image; give it as ⟦!scenario={image}⟧.")
     if scenario is not None:
         raw = read_toml(Path(scenario))
         files = confined(raw, Path(scenario).parent, flags.get("allow_outside"))
@@ -117,7 +119,7 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
         found.append("image: no image was given")
     if STAGES.index(until) >= STAGES.index("constrain") and not _moves(raw):
         found.append(NO_CUT)
-    checked, changed = validated(raw, FLAG_OF, tuple(found)), {}
+    checked, changed = validated(raw, {FLAGS[name]: name for name in flags if name in FLAGS}, tuple(found)), {}
     if scenario is not None:
         own = {place: path for place, path in files.items() if place not in given}
         again, changed = found_again(own, Path(scenario), checked.max_memory_gb)
@@ -146,7 +148,7 @@ def scenario_problems(path: Path) -> list[str]:
         found = problems(raw)
         files = confined(raw, path.parent)
     except XfemnavError as error:
-        return [str(error)]
+        return [f"{error.code} {error.text}"]
     if not _moves(raw):
         found.append(NO_CUT)
     found += [f"E100 {place}: no file at {file}" for place, file in files.items() if not os.path.isfile(file)]

@@ -58,7 +58,7 @@ def _retractions(raw):
         if name is None and len(cuts) != 1:
             found.append(f"retract.{i}.cut: say which cut it holds; there are {len(cuts)}")
         elif name is not None and name not in cuts:
-            found.append(f"retract.{i}.cut: no cut is called '{name}'{_near(name, cuts)}")
+            found.append(f"retract.{i}.cut: no cut is called '{name}'{_near(name, cuts) or _known(cuts)}")
     return found
 
 
@@ -68,7 +68,7 @@ def _voxels(raw):
         return []
     found = []
     if boundary.get("displacement") is not None:
-        found.append("boundary.displacement (--boundary-displacement): its rows are plane mm, which space 'voxel' does "
+        found.append("boundary.displacement: its rows are plane mm, which space 'voxel' does "
                      "not read; give them and the cuts in ras or lps")
     if boundary.get("arc"):
         found.append("boundary.arc: its points are plane mm, which space 'voxel' does not read; use ras or lps")
@@ -125,6 +125,10 @@ def _names(step: dict, key: str) -> list[str]:
     """The names in a list of a step; what else is in it is the schema's to refuse."""
     names = step.get(key, ())
     return [name for name in names if isinstance(name, str)] if isinstance(names, list | tuple) else []
+
+
+def _known(names: list[str]) -> str:
+    return f"; there is {', '.join(map(repr, names[:9]))}" if names else ""
 
 
 def _near(name, known) -> str:

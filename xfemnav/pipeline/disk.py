@@ -20,7 +20,7 @@ NUMBERS = itertools.count()
 
 
 @contextmanager
-def writing(where: Path, what: str, mend: str = "Give another folder with -o or -w.") -> Iterator[None]:
+def writing(where: Path, what: str, mend: str = "Give another folder with ⟦output⟧ or ⟦cache⟧.") -> Iterator[None]:
     """Turn a full disk into E501 and any other refused write into E502; `what` names the thing that was written, and
     `mend` says what to do where it cannot be.
 

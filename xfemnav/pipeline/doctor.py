@@ -89,7 +89,8 @@ def _looked(what: str, check: Callable[[], None], mend: str) -> Finding:
 
 
 def _told(error: Exception) -> str:
-    text = str(error) if type(error).__name__ == "Mismatch" else f"{type(error).__name__}: {error}"
+    told = f"{error.code} {error.text}" if isinstance(error, XfemnavError) else str(error)
+    text = told if type(error).__name__ == "Mismatch" else f"{type(error).__name__}: {told}"
     return re.sub(r"\s+", " ", text).strip().rstrip(".")
 
 
@@ -151,12 +152,12 @@ def _cache(root: Path) -> Finding:
             fcntl.flock(probe, fcntl.LOCK_EX)
             if not _is_locked(other):
                 return Finding(f"cache {root}", "two programs get one lock at a time",
-                               "Give a folder on a local disk with -w.", EXIT_CANNOT_WRITE)
+                               "Give a folder on a local disk with ⟦cache⟧.", EXIT_CANNOT_WRITE)
     except XfemnavError as error:
         return Finding(f"cache {root}", _told(error), "Set XFEMNAV_CACHE to a folder that can be written.",
                        error.exit_code or EXIT_DATA)
     except OSError as error:
-        return Finding(f"cache {root}", _told(error), "Give a folder on a local disk with -w.", EXIT_CANNOT_WRITE)
+        return Finding(f"cache {root}", _told(error), "Give a folder on a local disk with ⟦cache⟧.", EXIT_CANNOT_WRITE)
     return Finding(f"cache {root} can be written and locked")
 
 

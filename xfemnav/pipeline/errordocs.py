@@ -4,6 +4,7 @@
 """
 
 from xfemnav.errors import FAULTS, Fault
+from xfemnav.naming import Names, flag, said
 
 HEAD = """\
 # Errors and warnings
@@ -11,7 +12,7 @@ HEAD = """\
 Written by `make docs` from the table `FAULTS` in `xfemnav/errors.py`, which the program uses too; edit it there.
 
 Every failure is one line: a code, what is wrong, where, and how to mend it. A traceback is printed only with `-vv`.
-Warnings do not stop a run; they are printed, kept in `run.json` and shown in the report; `--strict` makes them errors.
+Warnings do not stop a run; they are printed, kept in `run.json` and shown in the report; ⟦strict⟧ makes them errors.
 
 | exit status | meaning |
 |--|--|
@@ -35,10 +36,18 @@ GROUPS = {
 }
 
 
+def _in_docs(name: str, value: str) -> str:
+    return f"`{flag(name, value)}`"
+
+
+#: How the pages call settings: as the command line does.
+IN_DOCS = Names(_in_docs, _in_docs, "", "")
+
+
 def page() -> str:
     """The whole page, Markdown: a table of contents by group, then one section a code."""
     groups = {title: [code for code in FAULTS if code.startswith(start)] for start, title in GROUPS.items()}
-    lines = [HEAD]
+    lines = [said(HEAD, IN_DOCS)]
     for title, codes in groups.items():
         lines.append(f"**{title}**: " + " ".join(f"[{code}](#{code.lower()})" for code in codes) + "\n")
     for title, codes in groups.items():
@@ -50,7 +59,7 @@ def page() -> str:
 def section(code: str, fault: Fault) -> str:
     """One code: its title, when it happens, what to do."""
     status = f" Exit status {fault.exit_code}." if code.startswith("E") else ""
-    return f"### {code}\n\n**{fault.title}.** {fault.cause}{status}\n\nWhat to do: {fault.remedy}\n"
+    return said(f"### {code}\n\n**{fault.title}.** {fault.cause}{status}\n\nWhat to do: {fault.remedy}\n", IN_DOCS)
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = ()):
     try:
         found = grid(content, path.name, wanted, LARGEST)
     except XfemnavError as error:
-        raise XfemnavError(code if error.code == "E701" else error.code, error.message) from None
+        raise XfemnavError(code if error.code == "E701" else error.code, error.text) from None
     if len(found.triangles) == 0:
         raise XfemnavError(code, f"{path.name} holds no triangles. Write a VTU of triangles in mm (RAS).")
     for what, values in (("points", found.points), *found.point_data.items()):

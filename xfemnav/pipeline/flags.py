@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypedDict
 
 from xfemnav.errors import XfemnavError
+from xfemnav.naming import Names, literal
+from xfemnav.naming import flag as option
+from xfemnav.pipeline.parameters import BLADE
 
 AnyPath = str | os.PathLike[str]
 Drawn = AnyPath | Collection[Any]
@@ -52,9 +55,9 @@ class Flags(TypedDict, total=False):
             "file; a list of these for several cuts")]
     markup: Annotated[str | None, Own(None, "which markup of a point file with several")]
     internal: Annotated[bool | None, Own(False, "the cuts lie inside, with two tips")]
-    left: Annotated[str | Collection[float] | None, Own(
-        None, "displacement of the first cut's left lip, plane mm: 'dx,dy' or two numbers")]
-    right: Annotated[str | Collection[float] | None, Own(None, "the same of its right lip")]
+    left: Annotated[str | float | Collection[float] | None, Own(
+        None, "displacement of the first cut's left lip, plane mm: 'dx,dy' or two numbers; one: away from the other")]
+    right: Annotated[str | float | Collection[float] | None, Own(None, "the same of its right lip")]
     lip_force: Annotated[str | Sequence[str] | None, Own(
         (), "'left=fx,fy': force on a lip of it, mN per mm of thickness; a list of these for both lips")]
     opening_mm: Annotated[float | None, Own(None, "opens the first cut along its normal, mm in all")]
@@ -102,13 +105,21 @@ class Flags(TypedDict, total=False):
 #: Place in the scenario, or `Own`, of every flag.
 TABLE: dict[str, str | Own] = {name: hint.__metadata__[0] for name, hint in Flags.__annotations__.items()}
 PLACED = {name: place for name, place in TABLE.items() if isinstance(place, str)}
+#: Keys that say what flags of another form say.
+KEYS = {
+    "cut": "cut.points", "markup": "cut.markup", "internal": "cut.internal", "left": "retract.displacement_mm",
+    "right": "retract.displacement_mm", "lip_force": "retract.force_mN_per_mm", "opening_mm": "retract.normal_mm",
+    "blade": "retract.blade", "resect": "resect.outline", "kind": "companion.kind", "axes": "companion.axes",
+    "tensor_order": "companion.order", "companion": "companion.image", "points": "points",
+    "streamlines": "streamlines", "surfaces": "surfaces",
+}
 #: Flags of files, which come after the scenario's own.
 FILE_FLAGS = ("companion", "points", "streamlines", "surfaces")
 #: Flag -> key of every companion that is given by a flag.
 OF_COMPANIONS = {name: place.rpartition(".")[2] for name, place in PLACED.items() if "*" in place}
 #: Flag -> the one place in the scenario that it sets.
 FLAGS = {name: place for name, place in PLACED.items() if name not in (*FILE_FLAGS, *OF_COMPANIONS)}
-FLAG_OF = {place: "--" + name.replace("_", "-") for name, place in FLAGS.items()}
+FLAG_OF = {place: option(name) for name, place in FLAGS.items()}
 #: Places of paths; "cut.*.markups" are those of every cut.
 PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.file", "boundary.displacement",
          "tissue.labels", "cut.*.markups", "resect.*.markups", "resect.*.mask", "companion.*.image", "points.*",
@@ -150,6 +161,31 @@ def _meant(name: str, own: tuple[str, ...]) -> str:
     return f", did you mean '{names[near[0]]}'?" if near else ""
 
 
+def keys(edge: Names) -> Names:
+    """How a run of a scenario calls settings: by their keys there, and what has none as the edge does."""
+    def key(name: str, value: str = "") -> str:
+        place = FLAGS.get(name) or KEYS.get(name)
+        if place is None:
+            return edge.setting(name, value)
+        return f"{place} = {_of_toml(name, value)}" if value else place
+
+    return Names(key, edge.given, "See `xfemnav schema` for every key.", edge.given_listed)
+
+
+def _of_toml(name: str, value: str) -> str:
+    """The value of a flag as its key has it."""
+    if name == "opening_mm":  # of both lips together
+        return f"{float(value) / 2:g} (left and right)"
+    if name in ("left", "right"):
+        return f"{literal(value, '[]')} ({name})"
+    if name == "lip_force":
+        side, _, force = value.partition("=")
+        return f"{literal(force, '[]')} ({side})"
+    if name == "cut":
+        return f"[{', '.join(f'[{point}]' if ',' in point else point for point in value.split())}]"
+    return {"True": "true"}.get(value) or literal(value, "[]")
+
+
 def path_places(raw: dict) -> dict[str, str]:
     """Every path that a raw scenario names, by its place; 'cut.0.markups' is that of the first cut."""
     places = {}
@@ -189,12 +225,12 @@ def confined(raw: dict, folder: Path, allow_outside: bool | None = None) -> dict
     if outside:
         raise XfemnavError("E781", f"paths in a scenario stay in its folder {folder}; {'; '.join(outside)}. "
                                    "Move the file, name it on the command line, or allow it: allow_outside = true in "
-                                   "the scenario, or --allow-outside.")
+                                   "the scenario, or ⟦!allow_outside=True⟧.")
     return files
 
 
 def _add_cuts(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
-    """--cut, repeated, takes the place of the scenario's cuts and of what held their lips."""
+    """`cut`, repeated, takes the place of the scenario's cuts and of what held their lips."""
     cuts = _repeated(given.get("cut", ()))
     if len(cuts):
         names = ["cut"] if len(cuts) == 1 else [f"cut {i + 1}" for i in range(len(cuts))]
@@ -204,7 +240,7 @@ def _add_cuts(raw: dict, given: dict, found: list[str], files: dict[str, Path]) 
             if _names_a_file(cut, MARKUPS):
                 item["markups"], files[f"cut.{i}.markups"] = printed(cut), Path(cut)
             else:
-                item["points"] = _points(cut, "--cut", found)
+                item["points"] = _points(cut, "cut", found)
     if "markup" in given:
         raw["cut"] = [item | {"markup": given["markup"]} if "markups" in item else item for item in tables(raw, "cut")]
     if given.get("internal"):
@@ -212,7 +248,7 @@ def _add_cuts(raw: dict, given: dict, found: list[str], files: dict[str, Path]) 
 
 
 def _add_resections(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
-    """--resect, repeated, takes the place of the scenario's resections: points, a point file, a mask, or label=N,N."""
+    """`resect`, repeated, takes the place of the scenario's resections: points, a point file, a mask, or label=N,N."""
     resections = _repeated(given.get("resect", ()))
     if len(resections):
         raw["resect"] = []
@@ -228,23 +264,23 @@ def _add_resections(raw: dict, given: dict, found: list[str], files: dict[str, P
             if isinstance(value, str) and value.startswith("label=") and all(map(str.isdecimal, labels)):
                 item["label"] = int(labels[0]) if len(labels) == 1 else list(map(int, labels))
             elif isinstance(value, str) and value.startswith("label="):
-                found.append(f"--resect: wants whole numbers label=N or label=N,N,N, got {value[:60]!r}")
+                found.append(f"⟦!resect⟧: wants whole numbers label=N or label=N,N,N, got {value[:60]!r}")
                 item["label"] = 1  # stands in
             else:
-                item["outline"] = _points(value, "--resect", found)
+                item["outline"] = _points(value, "resect", found)
         raw["resect"].append(item)
 
 
 def _add_files(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
-    """--companion [KIND=]FILE, --points, --streamlines and --surfaces FILE come after the scenario's own."""
+    """`companion` [KIND=]FILE, `points`, `streamlines` and `surfaces` come after the scenario's own."""
     for value in _repeated(given.get("companion", ())):
         kind, separator, name = str(value).partition("=")
         said, name = ({"kind": kind}, name) if separator and kind in KINDS else ({}, value)
-        said |= {key: given[flag] for flag, key in OF_COMPANIONS.items() if flag in given}
+        said |= {key: given[name] for name, key in OF_COMPANIONS.items() if name in given}
         items = raw["companion"] = [*tables(raw, "companion"), {"image": printed(name)} | said]
         files[f"companion.{len(items) - 1}.image"] = Path(name)
-    found += [f"--{flag.replace('_', '-')}: is for companions given by --companion, and there is none"
-              for flag in OF_COMPANIONS if flag in given and "companion" not in given]
+    found += [f"⟦!{name}⟧: is for companions given by ⟦!companion⟧, and there is none"
+              for name in OF_COMPANIONS if name in given and "companion" not in given]
     for key in ("points", "streamlines", "surfaces"):
         for value in _repeated(given.get(key, ())):
             raw[key] = [*raw.get(key, ()), printed(value)]
@@ -263,30 +299,32 @@ def _names_a_file(value, endings: tuple[str, ...]) -> bool:
 
 
 def _add_lips(raw: dict, given: dict, found: list[str]) -> None:
-    """--left, --right, --lip-force, --opening-mm hold the lips of the first cut; --blade is for all of them."""
-    lips = [{"side": side, "displacement_mm": _vector(given[side], f"--{side}", "DX,DY", found)}
-            for side in ("left", "right") if side in given]
+    """`left`, `right`, `lip_force`, `opening_mm` hold the lips of the first cut; `blade` is for all of them."""
+    lips = [{"side": side} | _moved(given[side], side, found) for side in ("left", "right") if side in given]
     forces = given.get("lip_force", ())
     for text in (forces,) if isinstance(forces, str) else forces:
         side, _, force = text.partition("=")
-        lips.append({"side": side, "force_mN_per_mm": _vector(force, "--lip-force", "left=FX,FY", found)})
+        lips.append({"side": side, "force_mN_per_mm": _vector(force, "lip_force", "left=FX,FY", found)})
     if "opening_mm" in given:
+        if isinstance(given["opening_mm"], int | float) and given["opening_mm"] < 0:
+            found.append(f"⟦!opening_mm⟧: is how far the lips part, and not negative, got {given['opening_mm']:g}; did "
+                         f"you mean ⟦!opening_mm={-given['opening_mm']:g}⟧?")
         if lips:
-            found.append("--opening-mm: moves both lips, so it excludes --left, --right and --lip-force")
+            found.append("⟦!opening_mm⟧: moves both lips, so it excludes ⟦!left⟧, ⟦!right⟧ and ⟦!lip_force⟧")
         lips += [{"side": side, "normal_mm": given["opening_mm"] / 2} for side in ("left", "right")]
     sides = [lip["side"] for lip in lips]
     for side in sorted(set(sides)):
         if sides.count(side) > 1 and "opening_mm" not in given:
-            found.append(f"--lip-force: the {side} lip has a displacement or another force already")
+            found.append(f"⟦!lip_force⟧: the {side} lip has a displacement or another force already")
     if lips and tables(raw, "cut"):
         first = tables(raw, "cut")[0].get("name", "cut")
         kept = [item for item in tables(raw, "retract")
                 if not (item.get("cut", first) == first and item.get("side") in sides)]
         raw["retract"] = kept + [{"cut": first} | lip for lip in lips]
     if "blade" in given:
-        blade = _vector(given["blade"], "--blade", "FROM,TO", found)
+        blade = _span(given["blade"], found)
         if not tables(raw, "retract"):
-            found.append("--blade: no lip is moved or pulled (--left, --right, --lip-force, --opening-mm)")
+            found.append("⟦!blade⟧: no lip is moved or pulled (⟦!left⟧, ⟦!right⟧, ⟦!lip_force⟧, ⟦!opening_mm⟧)")
         raw["retract"] = [item | {"blade": blade} for item in tables(raw, "retract")]
 
 
@@ -318,22 +356,54 @@ def _is_point(value) -> bool:
     return not isinstance(value, str) and len(value) > 0 and not hasattr(value[0], "__len__")
 
 
-def _points(text, flag: str, found: list[str]) -> list:
+def _points(text, name: str, found: list[str]) -> list:
     """Points of "x,y x,y ..." or of rows of numbers."""
     if not isinstance(text, str):
         return [[float(x) for x in point] for point in text]
     points = [numbers(word) for word in text.replace(";", " ").split()]
     if not points or any(point is None or len(point) not in (2, 3) for point in points):
-        found.append(f"{flag}: wants points 'x,y x,y ...' or a file, got {text[:60]!r}")
+        found.append(f"⟦!{name}⟧: wants points 'x,y x,y ...' without brackets, or a file, got {text[:60]!r}"
+                     f"{_points_meant(text, name)}")
         return [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]  # stands in, so that the other problems are found too
     return points
 
 
-def _vector(value, flag: str, form: str, found: list[str]) -> list[float]:
+def _points_meant(text: str, name: str) -> str:
+    """Which points a text may stand for that is written otherwise: pairs, if each has a bracket, line or pair's end."""
+    found = re.findall(r"[-+]?(?:\d+\.?\d*|\.\d+)", text)
+    if len(found) < 4 or len(found) % 2 or len(found) % 3 == 0 or re.search(r"[^\d\s.,;()\[\]+-]", text):
+        return ""
+    pairs = " ".join(map(",".join, zip(found[::2], found[1::2])))
+    return f"; did you mean ⟦!{name}={pairs}⟧?"
+
+
+def _moved(value, side: str, found: list[str]) -> dict:
+    """A lip's displacement of "3.5,1" or a pair, or how far it moves away from the other lip of one number."""
+    alone = numbers(value) if isinstance(value, str) else [value] if isinstance(value, int | float) else None
+    if alone is not None and len(alone) == 1 and math.isfinite(alone[0]):
+        return {"normal_mm": float(alone[0])}
+    return {"displacement_mm": _vector(value, side, "DX,DY, or one, mm away from the other lip", found)}
+
+
+def _span(value, found: list[str]) -> list[float]:
+    """The held part of a cut."""
+    known = len(found)
+    span = _vector(value, "blade", "FROM,TO", found)
+    if len(found) > known:
+        return list(BLADE)
+    if not 0 <= span[0] < span[1] <= 1:
+        percent = f"; in percent, it is ⟦!blade={span[0] / 100:g},{span[1] / 100:g}⟧" if 1 < span[1] <= 100 else ""
+        found.append(f"⟦!blade⟧: blade must be FROM,TO with 0 <= FROM < TO < 1, 0 the mouth and 1 the tip, got "
+                     f"{span[0]:g},{span[1]:g}{percent}")
+        return list(BLADE)
+    return span
+
+
+def _vector(value, name: str, form: str, found: list[str]) -> list[float]:
     """Two finite numbers of "3.5,1" or of a pair."""
     pair = numbers(value) if isinstance(value, str) else [float(x) for x in value]
     if pair is None or len(pair) != 2 or not all(map(math.isfinite, pair)):
-        found.append(f"{flag}: wants two finite numbers {form}, got {str(value)[:60]!r}")
+        found.append(f"⟦!{name}⟧: wants two finite numbers {form}, got {str(value)[:60]!r}")
         return [0.0, 0.0]
     return pair
 

@@ -12,10 +12,10 @@ from xfemnav.pipeline.cache import Entry
 from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.parameters import ReadParams
 
-# --volume and --nan are the image's alone: what to do about another file that would need them.
+# Volume and value for NaN are the image's alone: what to do about another file that would need them.
 REMEDIES = {
-    "E121": "holds several volumes, and --volume is the image's alone. Save the one that counts as a file of its own.",
-    "E103": "has NaN or infinite voxels, and --nan is the image's alone. Save it with numbers in their place.",
+    "E121": "holds several volumes, and ⟦volume⟧ is the image's alone. Save the one that counts as a file of its own.",
+    "E103": "has NaN or infinite voxels, and ⟦nan⟧ is the image's alone. Save it with numbers in their place.",
 }
 STEPWISE = ("constrain", "solve", "warp")  # the stages that every step has of its own
 
@@ -155,7 +155,7 @@ def recorded() -> Iterator[list[Warned]]:
         yield found
     for item in caught:
         if isinstance(item.message, XfemnavWarning):
-            warned = Warned(item.message.code, item.message.message)
+            warned = Warned(item.message.code, item.message.text)
             if warned not in found:
                 found.append(warned)
         else:

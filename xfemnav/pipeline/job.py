@@ -11,6 +11,7 @@ from pathlib import Path
 from xfemnav import __version__
 from xfemnav.errors import EXIT_DATA, EXIT_UNTRUSTED, FAULTS, XfemnavError
 from xfemnav.interruption import Interrupted, checkpoint
+from xfemnav.naming import ARGUMENTS, Names, kept
 from xfemnav.pipeline import stage_carry, whereabouts
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.chain import Chain, page_key
@@ -21,13 +22,14 @@ from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
 from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
 from xfemnav.pipeline.scenario_file import placed, scenario_text
 from xfemnav.pipeline.stage_safe import told
-from xfemnav.pipeline.verdicts import doubts, reasons, stillness, verdicts
+from xfemnav.pipeline.verdicts import doubts, reasons, stillness, towards, verdicts
 from xfemnav.pipeline.whereabouts import bytes_digest
 
 
 @dataclass(frozen=True)
 class Options:
-    """What a run does beside its configuration: where it writes, how far it goes, what it computes again."""
+    """What a run does beside its configuration: where it writes, how far it goes, what it computes again, and how
+    what it tells calls settings."""
 
     output: Path
     cache: Path
@@ -35,6 +37,7 @@ class Options:
     force_from: str | None = None
     report: bool = True
     argv: tuple[str, ...] = ()
+    names: Names = ARGUMENTS
 
 
 @dataclass(frozen=True)
@@ -98,7 +101,7 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
         try:
             return _run(chain, options, folder, record)
         except BaseException as error:
-            record = _reported(chain, output, record) | failure(error)
+            record = _reported(chain, output, record, options.names) | failure(error, options.names)
             folder.write_failure(record)
             listener.failed(record)
             raise
@@ -118,12 +121,12 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
     faults = _judged(chain)
     if chain.config.strict and chain.warned:
         first = chain.warned[0]
-        raise XfemnavError(first.code, f"{first.text} (--strict makes warnings errors)")
+        raise XfemnavError(first.code, f"{first.text} (⟦strict=True⟧ makes warnings errors)")
     wanted = options.report and options.until == "warp"
     drawn = chain.draw() if wanted else []
-    record = _reported(chain, folder.path, record) | {"status": "complete", "exit_code": 0}
+    record = _reported(chain, folder.path, record, options.names) | {"status": "complete", "exit_code": 0}
     if faults:
-        record |= _untrusted(chain, faults)
+        record |= _untrusted(chain, faults, options.names)
     files = {}
     for label, item in done.items():
         _collect(files, chain.config, label, item)
@@ -132,8 +135,8 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
             _collect(files, chain.config, chain.inputs.label("warp", k).replace("warp", "figure"), item)
         record["outputs"] = folder.names([*files, "report", "scenario"], files)
         figures = {role: path for role, (path, _) in files.items() if role.partition(":")[0] == "figure"}
-        files["report"] = _page(chain, record, figures)
-        record["warnings"] = _warnings(chain)
+        files["report"] = _page(chain, record, figures, options.names)
+        record["warnings"] = _warnings(chain, options.names)
     checkpoint()
     texts = {"scenario": scenario_text(chain.config.settings, chain.config.named, folder.path)}
     record["outputs"] = folder.publish(files, texts, record, _sidecars(chain))
@@ -147,6 +150,7 @@ def _judged(chain: Chain) -> list[str]:
     for name, facts, judged in found:
         chain.warned += [Warned(*doubt) for doubt in doubts(name, judged, facts["checks"], facts["model"]["name"])]
     if len(found) == len(chain.config.steps):
+        chain.warned += [Warned(*doubt) for doubt in towards(chain.config.parameters["retract"])]
         taken = any(facts["resections"] for _, facts, _ in found)
         chain.warned += [Warned(*doubt) for doubt in stillness([facts["checks"] for _, facts, _ in found], taken)]
     return [reason for name, _, judged in found for reason in reasons(name, judged)]
@@ -166,12 +170,12 @@ def _solved(chain: Chain) -> list[tuple[str, dict, dict]]:
     return found
 
 
-def _untrusted(chain: Chain, faults: list[str]) -> dict:
+def _untrusted(chain: Chain, faults: list[str], names: Names) -> dict:
     """Status and error of a run that is not to be trusted, with the part of it that would be."""
     blades = chain.config.parameters["retract"]
     safe = told(chain.safe_part(), chain.config.parameters) if blades else "No blade acts, so none can do less."
     text = f"{'; '.join(faults)}. {safe} The results are written, and marked untrusted (exit 3)."
-    return {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": {"code": "E401", "text": text}}
+    return {"status": "untrusted", "exit_code": EXIT_UNTRUSTED, "error": kept("E401", text, names)}
 
 
 #: Files of the steps before the last that are published.
@@ -221,7 +225,7 @@ def _inputs(chain: Chain, folder: Path) -> dict:
     return whereabouts.told(config.named, folder, known, partial(bytes_digest, max_memory_gb=config.max_memory_gb))
 
 
-def _reported(chain: Chain, folder: Path, record: dict) -> dict:
+def _reported(chain: Chain, folder: Path, record: dict, names: Names) -> dict:
     """`record` with what the stages that finished have reported."""
     image = chain.input_facts.get("image")
     found = {
@@ -230,7 +234,7 @@ def _reported(chain: Chain, folder: Path, record: dict) -> dict:
         "stages": [{"name": done.name} | ({"step": done.step} if done.step else {}) |
                    {"status": done.status, "key": done.entry.key, "seconds": round(done.seconds, 4)}
                    for done in chain.inputs.done.values()],
-        "warnings": _warnings(chain),
+        "warnings": _warnings(chain, names),
         "outputs": {},
     }
     steps: dict[int, dict] = {}
@@ -245,9 +249,9 @@ def _reported(chain: Chain, folder: Path, record: dict) -> dict:
     return {name: fact for name, fact in (record | found).items() if name != "places"}  # the verdicts hold them
 
 
-def _warnings(chain: Chain) -> list[dict]:
+def _warnings(chain: Chain, names: Names) -> list[dict]:
     """What was warned of so far, each once."""
-    return [vars(item) for item in dict.fromkeys(chain.warned)]
+    return [kept(item.code, item.text, names) for item in dict.fromkeys(chain.warned)]
 
 
 def _gather(found: dict, facts: dict) -> None:
@@ -267,11 +271,11 @@ def _step_record(step, facts: dict) -> dict:
     return {"name": step.name, "acts": list(step.acts), "ends": list(step.ends)} | known
 
 
-def failure(error: BaseException) -> dict:
+def failure(error: BaseException, names: Names = ARGUMENTS) -> dict:
     """Status, exit code and error of a run that ended with `error`."""
     if isinstance(error, XfemnavError):
         exit_code = FAULTS[error.code].exit_code or EXIT_DATA
-        return {"status": "failed", "exit_code": exit_code, "error": {"code": error.code, "text": error.message}}
+        return {"status": "failed", "exit_code": exit_code, "error": kept(error.code, error.text, names)}
     if isinstance(error, Interrupted | KeyboardInterrupt):
         return {"status": "interrupted", "exit_code": 128 + getattr(error, "signum", 2)}
     if isinstance(error, BrokenPipeError):  # whoever read our lines has gone away
@@ -281,14 +285,14 @@ def failure(error: BaseException) -> dict:
     return {"status": "failed", "exit_code": FAULTS[code].exit_code, "error": {"code": code, "text": text}}
 
 
-def _page(chain: Chain, record: dict, figures: dict[str, Path]) -> tuple[Path, str]:
+def _page(chain: Chain, record: dict, figures: dict[str, Path], names: Names) -> tuple[Path, str]:
     """The report in the cache, and its sha256; what storing it gives rise to is added to the chain's warnings."""
     def build(folder: Path) -> None:
         from xfemnav.pipeline.report import write_report
 
-        write_report(record, folder, figures)
+        write_report(record, folder, figures, names)
 
     with recorded() as caught:
-        entry, _ = chain.cache.obtain(page_key(record), build)
+        entry, _ = chain.cache.obtain(page_key(record, names), build)
     chain.warned += caught
     return entry.folder / "report.html", entry.files["report.html"]

@@ -83,7 +83,8 @@ def read_record(folder: Path) -> dict:
     """The record of the run in `folder`. Raises E100 when there is none and E701 when it is no record of ours."""
     path = folder / RECORD
     if not path.exists():
-        raise XfemnavError("E100", f"no {RECORD} in {folder}. Give the output folder of a run.")
+        missing = f"no {RECORD} in" if folder.exists() else "no folder"
+        raise XfemnavError("E100", f"{missing} {folder}. Give the output folder of a run.")
     try:
         text = file_bytes(path, LIMIT_BYTES)
         record = json.loads(text)

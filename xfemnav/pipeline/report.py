@@ -15,6 +15,7 @@ from urllib.parse import quote
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
 from xfemnav.errors import FAULTS
+from xfemnav.naming import ARGUMENTS, Names, said
 from xfemnav.pipeline.disk import write_atomic
 from xfemnav.pipeline.display import convention, lip_ends, lips_told
 from xfemnav.pipeline.flags import path_places
@@ -64,19 +65,20 @@ def checked(run: dict) -> str:
             f"not to be trusted{amber}. Not checked: {'; '.join(UNCHECKED)}.")
 
 
-def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
+def write_report(run: dict, folder: Path, figures: dict[str, Path], names: Names = ARGUMENTS) -> Path:
     """Write `folder`/report.html for `run`, the content of its run.json, and return the path.
 
-    `figures`: the pictures by role, "figure" the last step's, "figure:<step>" those of earlier ones.
+    `figures`: the pictures by role, "figure" the last step's, "figure:<step>" those of earlier ones. `names`: how
+    remedies call settings.
     """
     target = folder / "report.html"
     page = render(run, {role: reduced(path.read_bytes(), None if role == "figure" else EARLIER_PX)
-                        for role, path in figures.items()})
+                        for role, path in figures.items()}, names)
     write_atomic(target, page.encode(errors="backslashreplace"))  # file names may hold bytes that are no UTF-8
     return target
 
 
-def render(run: dict, figures: dict[str, bytes]) -> str:
+def render(run: dict, figures: dict[str, bytes], names: Names = ARGUMENTS) -> str:
     """The page. Every value is escaped by the template engine: names of files and cuts are other people's text."""
     shown = run["slice"]["plane"], run["slice"]["axes"], run["parameters"]["display"]
     cuts = [(cut["name"], cut["path"]) for cut in run["cuts"]]
@@ -97,7 +99,7 @@ def render(run: dict, figures: dict[str, bytes]) -> str:
         again=AGAIN,
         stages=run["stages"],
         checks=[check_row(name, run) for name in CHECKS if run["checks"].get(name) is not None],
-        warnings=[(each["code"], each["text"], FAULTS[each["code"]].remedy) for each in run["warnings"]],
+        warnings=[(each["code"], each["text"], said(FAULTS[each["code"]].remedy, names)) for each in run["warnings"]],
         retractors=[retractor_row(each, {name: lip_ends(path, shown[1]) for name, path in cuts})
                     for each in run["retractor"]],
         tips=[tip_row(each) for each in run["tips"]],

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xfemnav.errors import XfemnavError, warn
+from xfemnav.naming import ARGUMENTS
 from xfemnav.pipeline import job
 from xfemnav.pipeline.config import STAGES, configure
 from xfemnav.pipeline.disk import write_atomic
-from xfemnav.pipeline.flags import AnyPath, Flags
+from xfemnav.pipeline.flags import AnyPath, Flags, keys
 from xfemnav.pipeline.kernels import settle_kernel_cache
 from xfemnav.pipeline.record import read_record
 from xfemnav.pipeline.reopening import preoperative_slice
@@ -73,6 +74,7 @@ def run(image: AnyPath | None = None, *, scenario: AnyPath | None = None, output
         output=Path(output) if output is not None else job.default_output(config.image),
         cache=Path(cache) if cache is not None else job.default_cache(),
         force_from=STAGES[0] if force else None, report=report, argv=("xfemnav.run",),
+        names=ARGUMENTS if scenario is None else keys(ARGUMENTS),
     )
     record = job.run(config, options)
     for item in (*record["warnings"], *filter(None, [record.get("error")])):

@@ -200,13 +200,15 @@ class OutputFolder:
         targets = {(self.path / name).resolve() for name in self.earlier | new | {RECORD}}
         for path in inputs:
             if path.resolve() in targets:
-                raise XfemnavError("E731", f"the output would overwrite the input {path}. Give another folder with -o.")
+                raise XfemnavError("E731", f"the output would overwrite the input {path}. Give another folder with "
+                                           "⟦output⟧.")
         foreign = {name for name in new - self.earlier if os.path.lexists(self.path / name)}
         if os.path.lexists(self.path / RECORD) and _record_in(self.path / RECORD) is None:
             foreign.add(RECORD)
         if foreign:
             raise XfemnavError("E731", f"the output would overwrite {', '.join(sorted(foreign))} in {self.path}, which "
-                                       "no run of xfemnav has recorded there. Give another folder with -o, or move it.")
+                                       "no run of xfemnav has recorded there. Give another folder with "
+                                       "⟦output⟧, or move it.")
 
     def _holds(self, name: str, sha256: str) -> bool:
         """Whether the file is there already with this content."""
@@ -226,6 +228,9 @@ def _claimed(record: dict) -> set[str]:
 @contextmanager
 def output_folder(path: Path, image: Path, waiting: Callable[[], None]) -> Iterator[OutputFolder]:
     """Make and hold the output folder; `waiting` is called when another run holds it. Raises E501 to E503."""
+    if path.is_file():
+        raise XfemnavError("E502", f"the output {path} is a file, and the outputs are several. Give a folder with "
+                                   "⟦output⟧.")
     with writing(path.parent, f"the output folder {path.name}"):
         path.mkdir(parents=True, exist_ok=True)
     with locked(path, waiting=waiting):

@@ -19,7 +19,7 @@ from pydantic.fields import FieldInfo
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import decoded
 from xfemnav.pipeline.crosscheck import cross_problems
-from xfemnav.pipeline.flags import BACKSLASH
+from xfemnav.pipeline.flags import BACKSLASH, FLAGS, KEYS, MASKS, numbers, tables
 
 LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
 SHOWN = 50  # problems of a scenario that are told
@@ -28,9 +28,9 @@ LONG_KEY = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ 
 ESCAPE = re.compile(r"hex value|[Ee]scape")  # in the parser's words
 # Problems that the mechanics has a code for, by their words.
 OWN_CODES = {
-    "E404": re.compile(r"^tissue\.\w+.*: input should be (greater|less) than"),
+    "E404": re.compile(r"^(tissue\.\w+.*|⟦!(young_kpa|poisson)⟧): input should be (greater|less) than"),
     "E303": re.compile(r"points must be at least two different ones"),
-    "E402": re.compile(r"blade \(--blade\) must be FROM,TO"),
+    "E402": re.compile(r"blade must be FROM,TO"),
 }
 
 Vector = Annotated[tuple[float, float], Strict(False)]
@@ -131,7 +131,7 @@ class RetractSection(Section):
     @model_validator(mode="after")
     def _blade_on_the_cut(self):
         if self.blade is not None and not 0 <= self.blade[0] < self.blade[1] <= 1:
-            raise ValueError("blade (--blade) must be FROM,TO with 0 <= FROM < TO < 1, 0 the mouth and 1 the tip")
+            raise ValueError("blade must be FROM,TO with 0 <= FROM < TO < 1, 0 the mouth and 1 the tip")
         return self
 
 
@@ -254,7 +254,8 @@ class LoadSection(Section):
     @model_validator(mode="after")
     def _a_direction(self):
         if self.gravity is not None and not 1e-3 < math.hypot(*self.gravity) <= 1.00005:
-            raise ValueError("gravity must be a direction whose length is more than 0 and at most 1")
+            raise ValueError("⟦gravity⟧ must be a direction whose length is more than 0 and at most 1: 0,-1, not "
+                             "0,-9.81")
         return self
 
 
@@ -297,7 +298,7 @@ class SolveSection(Section):
     @model_validator(mode="after")
     def _tip_of_pointwise_lips(self):
         if self.hold_tip and self.lip_constraint != "pointwise":
-            raise ValueError("hold_tip (--hold-tip) needs lip_constraint (--lip-constraint) pointwise")
+            raise ValueError("⟦hold_tip⟧ needs ⟦lip_constraint=pointwise⟧")
         return self
 
 
@@ -365,13 +366,16 @@ def read_toml(path: Path) -> dict:
     try:
         text = re.sub(r"\r\n?", "\n", decoded(path.read_bytes()))
     except ValueError as error:
+        if path.name.lower().endswith(MASKS):
+            raise XfemnavError("E780", f"{path.name} is an image, no scenario (a TOML file); an image is for `xfemnav "
+                                       "run`.") from None
         raise XfemnavError("E780", f"{path.name} {error}.") from None
     try:
         if LONG_KEY.search(text):
             raise too_deep
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        mend = f" {BACKSLASH}" if ESCAPE.search(str(error)) else ""
+        mend = f" {BACKSLASH}" if ESCAPE.search(str(error)) else _quotes(text, str(error))
         raise XfemnavError("E780", f"{path.name} is no TOML: {error}.{mend}") from None
     except RecursionError:
         raise too_deep from None
@@ -380,18 +384,28 @@ def read_toml(path: Path) -> dict:
     return raw
 
 
+def _quotes(text: str, why: str) -> str:
+    """What to say of a text without quotes in the line that the parser names."""
+    line = re.search(r"at line (\d+)", why)
+    row = text.split("\n")[int(line[1]) - 1] if line else ""
+    bare = re.fullmatch(r"\s*([\w.-]+)\s*=\s*([^\W\d][^\"'\[{#]*|[./~][^\"'\[{#]*)", row)
+    return f' A text, as a path is, stands in quotes: {bare[1]} = "{bare[2].strip()}".' if bare else ""
+
+
 def validated(raw: dict, flags: dict[str, str], known: tuple[str, ...] = ()) -> Scenario:
     """The scenario of a raw dict. Raises E780 with every problem, those already `known` first.
 
     Where values are of the right form and only the mechanics refuses them, the code is its own: E303, E402, E404.
-    `flags` maps places in the scenario to the flags that set them.
+    `flags` maps places in the scenario to the options that set them.
     """
     found = [*known, *problems(raw, flags)]
     if found:
         codes = [next((code for code, words in OWN_CODES.items() if words.search(text)), "E780") for text in found]
         code = "E780" if "E780" in codes else codes[0]
+        listed = "⟦!?⟧" if all(text in known or text.startswith("⟦!") for text in found) else "⟦?⟧"
         more = f"; and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-        raise XfemnavError(code, "; ".join(found[:SHOWN]) + f"{more}. See `xfemnav schema` for every key.")
+        words = "; ".join(found[:SHOWN]) + more
+        raise XfemnavError(code, f"{words}{'' if words.endswith('?') else '.'} {listed}")
     return Scenario.model_validate(raw)
 
 
@@ -404,20 +418,61 @@ def problems(raw: dict, flags: dict[str, str] | None = None) -> list[str]:
         items = error.errors(include_url=False)
         # A tuple is too short when one of its items is wrong, which is told already.
         inner = {item["loc"][:n] for item in items for n in range(len(item["loc"]))}
-        found = [_told(item, flags or {}) for item in items if item["type"] != "too_short" or item["loc"] not in inner]
+        flat = _flat_points(raw)
+        places = {text.partition(":")[0] for text in flat}
+        found = flat + [_told(item, flags or {}) for item in items
+                        if (item["type"] != "too_short" or item["loc"] not in inner)
+                        and ".".join(map(str, item["loc"][:3])) not in places]
     return found + cross_problems(raw)
 
 
 def _told(item: dict, flags: dict[str, str]) -> str:
     place = ".".join(str(part) for part in item["loc"])
-    flag = f" ({flags[place]})" if place in flags else ""
+    called = f"⟦!{flags[place]}⟧" if place in flags else place
     if item["type"] == "extra_forbidden":
-        near = difflib.get_close_matches(str(item["loc"][-1]), _section_at(item["loc"][:-1]).model_fields, 1, 0.5)
-        return f"{place}: unknown key" + (f", did you mean '{near[0]}'?" if near else "")
-    text = item["msg"].removeprefix("Value error, ")
+        return f"{place}: unknown key{_meant(item['loc'])}"
+    text = "is no list" if item["type"] == "tuple_type" else item["msg"].removeprefix("Value error, ")
     shown = item.get("input")
     got = f", got {shown!r}" if isinstance(shown, str | int | float) and len(repr(shown)) < 60 else ""
-    return f"{place}{flag}: {text[0].lower()}{text[1:]}{got}" if place else text
+    return f"{called}: {text[0].lower()}{text[1:]}{got}{_mend(item)}" if place else text
+
+
+def _meant(location: tuple) -> str:
+    """What an unknown key may stand for: the key of a flag of that name, or the nearest of its section."""
+    *section, name = location
+    key = FLAGS.get(str(name)) or KEYS.get(str(name))
+    if key is not None and not section and "." in key:
+        return f"; it is the key {key}"
+    near = difflib.get_close_matches(str(name), _section_at(tuple(section)).model_fields, 1, 0.5)
+    return f", did you mean '{near[0]}'?" if near else ""
+
+
+def _mend(item: dict) -> str:
+    """How to write what is not of its form, where that can be told."""
+    shown, name = item.get("input"), item["loc"][-1]
+    if item["type"] == "missing" and name == "xfemnav":
+        return "; write xfemnav = 1 (the version of this format) at the top"
+    if item["type"] == "literal_error" and isinstance(shown, str):
+        near = difflib.get_close_matches(shown.lower(), re.findall(r"'([^']*)'", item["msg"]), 1, 0.5)
+        return f", did you mean '{near[0]}'?" if near else ""
+    if item["type"] in ("float_type", "int_type") and isinstance(shown, str) and numbers(shown):
+        return f"; write it without quotes: {name} = {shown}"
+    if item["type"] == "tuple_type" and isinstance(shown, dict):
+        return f"; there may be several, so its header has two brackets: [[{'.'.join(map(str, item['loc']))}]]"
+    return ""
+
+
+def _flat_points(raw: dict) -> list[str]:
+    """Points whose numbers stand in one row, without brackets for each."""
+    found = []
+    for section, key in (("cut", "points"), ("resect", "outline")):
+        for i, table in enumerate(tables(raw, section)):
+            row = table.get(key)
+            if isinstance(row, list | tuple) and len(row) > 3 and all(type(x) in (int, float) for x in row):
+                pairs = ", ".join(f"[{x}, {y}]" for x, y in zip(row[::2], row[1::2]))
+                meant = f", as {key} = [{pairs}]" if len(row) % 2 == 0 and len(row) % 3 else ""
+                found.append(f"{section}.{i}.{key}: wants brackets about each point{meant}")
+    return found
 
 
 def field_at(place: str) -> FieldInfo:

@@ -9,11 +9,12 @@ import json
 import os
 from pathlib import Path
 
+from xfemnav.naming import flag
 from xfemnav.pipeline.flags import path_places, printed
 from xfemnav.pipeline.runfile import PAGES
 
 NAME = "".join(PAGES["scenario"])
-AGAIN = f"xfemnav run --scenario {NAME} -o OTHER"
+AGAIN = f"xfemnav run {flag('scenario', NAME)} {flag('output', 'OTHER')}"
 HEAD = f"# The settings of this run, defaults filled in. The same again: {AGAIN}\n"
 UNSAYABLE = "# TOML holds UTF-8 alone, and the name of this file is none, so give it again: {place} = {name}\n"
 

@@ -3,6 +3,8 @@
     python -m xfemnav.pipeline.scenariodocs > docs/scenario.md
 """
 
+from xfemnav.naming import said
+from xfemnav.pipeline.errordocs import IN_DOCS
 from xfemnav.pipeline.flags import FLAG_OF
 from xfemnav.pipeline.scenario import Scenario
 
@@ -11,24 +13,24 @@ HEAD = """\
 
 Written by `make docs` from `xfemnav/pipeline/scenario.py`, which checks scenarios; edit it there.
 
-A scenario is a TOML file with the settings of one run: `xfemnav run --scenario FILE`. Flags win over it.
+A scenario is a TOML file with the settings of one run: `xfemnav run` with ⟦scenario=FILE⟧. Flags win over it.
 `xfemnav check FILE` lists all its problems at once; `xfemnav schema` prints its JSON Schema. Unknown keys are refused.
 Paths are relative to the file and stay in its folder, so that a scenario from elsewhere reads no file of yours (E781);
 `allow_outside` lifts that. Lengths are mm, stiffnesses kPa, forces mN per mm of thickness.
 Every run writes its scenario, defaults filled in, as `scenario.toml` among its [outputs](outputs.md).
 An example is in [worked-case.md](worked-case.md).
 
-On the command line, `--cut`, `--markup`, `--left`, `--right`, `--lip-force`, `--opening-mm`, `--blade` and `--internal`
-say what `[[cut]]` and `[[retract]]` say here. A `--cut` takes the place of all cuts of the scenario and of what held
-their lips; a `--resect` takes the place of all resections. `--companion [KIND=]FILE`, `--points`, `--streamlines` and
-`--surfaces` come after the scenario's own.
+On the command line, ⟦cut⟧, ⟦markup⟧, ⟦left⟧, ⟦right⟧, ⟦lip_force⟧, ⟦opening_mm⟧, ⟦blade⟧ and ⟦internal⟧
+say what `[[cut]]` and `[[retract]]` say here. A ⟦cut⟧ takes the place of all cuts of the scenario and of what held
+their lips; a ⟦resect⟧ takes the place of all resections. ⟦companion=[KIND=]FILE⟧, ⟦points⟧, ⟦streamlines⟧ and
+⟦surfaces⟧ come after the scenario's own.
 """
 
 
 def page() -> str:
     """The whole page, Markdown: the keys at the top, then a table a section."""
     schema = Scenario.model_json_schema()
-    lines = [HEAD, "## At the top\n", table("", plain_keys(schema), schema.get("required", ()))]
+    lines = [said(HEAD, IN_DOCS), "## At the top\n", table("", plain_keys(schema), schema.get("required", ()))]
     return "\n".join([*lines, *sections("", schema, schema["$defs"])])
 
 

@@ -34,8 +34,8 @@ ONLY = {"resections": (), "skull_gap_mm": 0.0, "arcs": (), "boundary_displacemen
 class Session:
     """An organ ready to be cut: from an image (segmented and meshed as in a run), or from a `Mesh` in plane mm.
 
-    corridor : where cuts are planned, as `--cut` (rows of numbers or "x,y x,y ..."), from the surface inwards. The
-        mesh is fine about it, and a cut that stays within `reach_mm` of it moves in milliseconds. One farther away
+    corridor : where cuts are planned, as `cut` of `run` (rows of numbers or "x,y x,y ..."), from the surface inwards.
+        The mesh is fine about it, and a cut that stays within `reach_mm` of it moves in milliseconds. One farther away
         takes longer; one with its mouth farther away condenses the organ anew (W315).
     flags : those of `xfemnav.run`, or a `scenario`: mask, slice_mm, element_size_mm, young_kpa, craniotomy_mm, ...
 

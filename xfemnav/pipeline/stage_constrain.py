@@ -7,7 +7,7 @@ def _placed(cuts, paths, outline, others=()):
     """Drawn cuts, paths (k, 2) plane mm, as they run inside an outline; `others` may bear branches too."""
     from xfemnav.geometry.cut import place_cut
 
-    return tuple(place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy,
+    return tuple(place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy, space=cut.space,
                            others=[*others, *paths[:k], *paths[k + 1:]])
                  for k, (cut, path) in enumerate(zip(cuts, paths)))
 
@@ -135,7 +135,8 @@ def _placed_regions(params, found, outline, inputs):
         redrawn = _is_redrawn(item)
         return tuple(ring_at_rest(ring, _motion(item, inputs), item.name) if redrawn else ring for ring in rings)
 
-    placed = {k: place_resection(at_rest(item, (_plane(slice, item.outline, item.space),)), outline, item.name)
+    placed = {k: place_resection(at_rest(item, (_plane(slice, item.outline, item.space),)), outline, item.name,
+                                 space=item.space)
               for k, item in enumerate(items) if item.outline is not None}
     groups = [[k for k in found if not _is_redrawn(items[k])], *([k] for k in found if _is_redrawn(items[k]))]
     for group in filter(None, groups):
@@ -151,7 +152,7 @@ def _placed_regions(params, found, outline, inputs):
             raise XfemnavError("E311", f"resection '{items[k].name}' takes nothing: {found[k].area_mm2:.3g} mm2 of "
                                        f"{found[k].name} on this slice are in bits under {least:.3g} mm2 (a disc of "
                                        f"{params.min_resection_mm:g} mm). Take its labels together, label = [1, 3, 4], "
-                                       "or give a smaller --min-resection-mm.")
+                                       "or give a smaller ⟦min_resection_mm⟧.")
     return placed
 
 

@@ -24,7 +24,7 @@ def compute(params, inputs):
         ends = params.data_ends
         paths = [plane_points(slice, cut.points, cut.space) for cut in ends.cuts]
         cuts = tuple(place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy,
-                               others=[*paths[:k], *paths[k + 1:]])
+                               others=[*paths[:k], *paths[k + 1:]], space=cut.space)
                      for k, (cut, path) in enumerate(zip(ends.cuts, paths)))
         focus = data_ends(outline, cuts, ends.blades, ends.grip_mm)
         size = SizeField(size, focus=focus)

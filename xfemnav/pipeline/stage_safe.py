@@ -97,7 +97,7 @@ def _asked(part, blades, parameters):
         return "; ".join(f"'{blade['name']}' {key} = {_numbers(blade[key], part)}"
                          for blade in blades for key in LIP_KEYS if blade[key] is not None)
     held = spans.pop()
-    return " ".join(flags + (["--blade {:g},{:g}".format(*held)] if held not in ((), BLADE) else []))
+    return " ".join(flags + (["⟦blade={:g},{:g}⟧".format(*held)] if held not in ((), BLADE) else []))
 
 
 def _flags(part, blades):
@@ -105,11 +105,11 @@ def _flags(part, blades):
     normals = [blade["normal_mm"] for blade in blades]
     default = all(blade["relative_to"] is None for blade in blades)
     if len(normals) == 2 and normals[0] == normals[1] and normals[0] is not None and default:
-        return [f"--opening-mm {_numbers(2 * normals[0], part)}"]
+        return [f"⟦opening_mm={_numbers(2 * normals[0], part)}⟧"]
     if any(normal is not None for normal in normals) or not default:
         return None
-    return [f"--{blade['side']}={_numbers(blade['displacement_mm'], part)}" if blade["force_mN_per_mm"] is None else
-            f"--lip-force {blade['side']}={_numbers(blade['force_mN_per_mm'], part)}" for blade in blades]
+    return [f"⟦{blade['side']}={_numbers(blade['displacement_mm'], part)}⟧" if blade["force_mN_per_mm"] is None else
+            f"⟦lip_force={blade['side']}={_numbers(blade['force_mN_per_mm'], part)}⟧" for blade in blades]
 
 
 def _numbers(value, part):

@@ -110,7 +110,7 @@ def reasons(step: str, found: dict[str, dict]) -> list[str]:
 def doubts(step: str, found: dict[str, dict], checks: dict, model: str) -> list[tuple[str, str]]:
     """Codes and texts of the warnings that the verdicts on a step ask for."""
     turned = {name: checks[name] for name in ("turned_mm2", "turned_deg") if name in checks}
-    finite = "use --model neo-hookean, " if model == "linear" else ""
+    finite = "use ⟦model=neo-hookean⟧, " if model == "linear" else ""
     return [(code, _said(text, step, found[name], finite=finite, **turned)) for name, (code, text) in DOUBTS.items()
             if name in found and found[name]["verdict"] != OK]
 
@@ -121,8 +121,18 @@ def stillness(checks: list[dict], taken: bool) -> list[tuple[str, str]]:
     if most >= limits.STILL.value:
         return []
     but = ", and the image changes by what is taken out alone" if taken else ""
-    return [("W409", f"nothing moves: the largest displacement is {most:.2g} mm, under {limits.STILL.value:g} mm{but}. "
-                     "Give an opening (--opening-mm), displacements of the lips, or a load, or larger ones.")]
+    metres = limits.LEAST_METRES.value <= 1000 * most <= limits.MOST_METRES.value
+    unit = f" Lengths are in mm, not m; were metres meant ({1000 * most:.2g} mm)?" if metres else ""
+    return [("W409", f"nothing moves: the largest displacement is {most:.2g} mm, under {limits.STILL.value:g} mm{but}."
+                     f"{unit} Give an opening (⟦opening_mm⟧), displacements of the lips, or a load, or larger ones.")]
+
+
+def towards(retractions: list[dict]) -> list[tuple[str, str]]:
+    """The warnings of lips that are moved towards the other lip, by a number that counts away from it."""
+    return [("W411", f"the {blade['side']} lip of cut '{blade['cut']}' is moved {-blade['normal_mm']:g} mm towards the "
+                     "other lip: one number counts away from that, on either side. To part them, give "
+                     f"⟦{blade['side']}={-blade['normal_mm']:g}⟧.")
+            for blade in retractions if (blade["normal_mm"] or 0) < 0]
 
 
 def _said(text, step, verdict, **more):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import file_bytes
-from xfemnav.pipeline.flags import FLAG_OF, printed
+from xfemnav.pipeline.flags import FLAGS, printed
 from xfemnav.pipeline.keys import digest, file_digest
 from xfemnav.pipeline.runfile import PAGES, RECORD
 from xfemnav.pipeline.scenario_file import seen_from, whole
@@ -113,7 +113,7 @@ def found_again(files: dict[str, Path], scenario: Path, max_memory_gb: float) ->
             except XfemnavError as error:
                 if error.code != "E100":
                     raise
-                gone.append(error.message)
+                gone.append(error.text)
                 continue
             if not same:
                 changed[place] = known[place]
@@ -124,5 +124,5 @@ def found_again(files: dict[str, Path], scenario: Path, max_memory_gb: float) ->
 
 def _mend(place: str) -> str:
     """How to tell where a file is now."""
-    flag = "the image (xfemnav run IMAGE --scenario ...; image= in Python)" if place == "image" else FLAG_OF.get(place)
-    return f"Put it back, or give {flag}." if flag else "Put it back, or correct its path in scenario.toml."
+    option = "image" if place == "image" else next((name for name, own in FLAGS.items() if own == place), None)
+    return f"Put it back, or give ⟦!{option}⟧." if option else "Put it back, or correct its path in scenario.toml."
