@@ -121,16 +121,16 @@ def test_a_signal_at_any_time(home, capfd):
 
 
 @pytest.mark.slow
-def test_200_signals_in_one_process(home, capfd, capsys):
+def test_200_signals_in_one_process(home, capfd):
     ended = in_this_process(home, capfd, 200)
-    with capsys.disabled():
+    with capfd.disabled():
         print(f"\nof 200 runs in one process {ended} were ended, {200 - ended} were whole already")
 
 
 @pytest.mark.slow
-def test_200_signals_to_fresh_processes(home, capfd, capsys):
+def test_200_signals_to_fresh_processes(home, capfd):
     ended = in_fresh_processes(home, capfd, 200)
-    with capsys.disabled():
+    with capfd.disabled():
         print(f"\nof 200 fresh processes {ended} were ended, {200 - ended} were whole already")
 
 
