@@ -188,6 +188,7 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         for name in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
             os.environ[f"{name}_NUM_THREADS"] = str(threads)
     from xfemnav.pipeline import job
+    from xfemnav.pipeline.bearings import told
     from xfemnav.pipeline.config import configure
     from xfemnav.pipeline.flags import keys
 
@@ -220,6 +221,8 @@ def execute(*, image=None, scenario=None, output=None, cache=None, dry_run=False
         return 128 + signal.SIGPIPE
     finally:
         teller.stop()
+    for sentence in told(record):
+        teller.say(f"where      {sentence}")
     teller.warnings(record)
     if as_json:
         teller.json(record)

@@ -42,8 +42,8 @@ def allowed(folder):
     try:
         run(folder, **given, **COARSE)
     except xfemnav.XfemnavError as error:
-        text = error.message
-        assert error.code == "E781" and "allow_outside=True" in text and "allow_outside = true" in text
+        told = error.message
+        assert error.code == "E781" and "allow_outside=True" in told and "allow_outside = true" in told
     else:
         raise AssertionError("read in silence")
     assert run(folder, **given, **COARSE, allow_outside=True).trusted

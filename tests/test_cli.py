@@ -79,7 +79,8 @@ def test_stdout_has_one_line_a_stage_and_the_place_of_the_results(head, capfd):
     lines = stdout.splitlines()
     assert code == 0 and [line.split()[:2] for line in lines[:5]] == [
         [name, "ran"] for name in ("segment", "mesh", "constrain", "solve", "warp")]
-    assert lines[5].split() == ["results", "head_xfemnav"] and len(lines) == 6
+    assert lines[5].startswith("where      cut 'cut' enters on the patient's left, ")
+    assert lines[6].split() == ["results", "head_xfemnav"] and len(lines) == 7
 
 
 def test_json_is_alone_on_stdout_and_quiet_says_nothing(head, capfd):

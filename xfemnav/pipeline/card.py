@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from xfemnav.errors import XfemnavError
+from xfemnav.naming import told
 from xfemnav.pipeline.display import NEUROLOGICAL, convention, lips_told
 from xfemnav.pipeline.report import CHECKS, VERDICTS, check_row, checked, embedded, template
 
@@ -80,7 +81,7 @@ def _address(folder: Path, name: str) -> str:
 
 
 def _bounded(item: dict | None) -> dict | None:
-    return item and {"code": item["code"], "text": _short(item["text"])}
+    return item and {"code": item["code"], "text": _short(told(item))}
 
 
 def _short(text: str) -> str:

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from xfemnav.errors import XfemnavError
 from xfemnav.interruption import checkpoint
-from xfemnav.naming import Names, said
 from xfemnav.pipeline.cache import Cache, Entry
 from xfemnav.pipeline.config import STAGES as ORDER
 from xfemnav.pipeline.config import Config
@@ -245,8 +244,8 @@ def read_facts(entry: Entry) -> tuple[dict, tuple[Warned, ...]]:
     return found["facts"], tuple(Warned(**item) for item in found["warnings"])
 
 
-def page_key(run: dict, names: Names) -> str:
-    """Key of the report of a run: everything in the record but how it came about, and how remedies call settings."""
+def page_key(run: dict) -> str:
+    """Key of the report of a run: everything in the record but how it came about."""
     stages = [{"name": stage["name"], "key": stage["key"]} for stage in run["stages"]]
     code = stage_key("report", ("pipeline",), ("jinja2", "pillow"), None, {})
-    return digest({"page": run | {"stages": stages}, "names": said("⟦mask=FILE⟧ ⟦output⟧", names), "code": code})
+    return digest({"page": run | {"stages": stages}, "code": code})

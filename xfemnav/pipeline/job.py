@@ -135,7 +135,7 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
             _collect(files, chain.config, chain.inputs.label("warp", k).replace("warp", "figure"), item)
         record["outputs"] = folder.names([*files, "report", "scenario"], files)
         figures = {role: path for role, (path, _) in files.items() if role.partition(":")[0] == "figure"}
-        files["report"] = _page(chain, record, figures, options.names)
+        files["report"] = _page(chain, record, figures)
         record["warnings"] = _warnings(chain, options.names)
     checkpoint()
     texts = {"scenario": scenario_text(chain.config.settings, chain.config.named, folder.path)}
@@ -285,14 +285,14 @@ def failure(error: BaseException, names: Names = ARGUMENTS) -> dict:
     return {"status": "failed", "exit_code": FAULTS[code].exit_code, "error": {"code": code, "text": text}}
 
 
-def _page(chain: Chain, record: dict, figures: dict[str, Path], names: Names) -> tuple[Path, str]:
+def _page(chain: Chain, record: dict, figures: dict[str, Path]) -> tuple[Path, str]:
     """The report in the cache, and its sha256; what storing it gives rise to is added to the chain's warnings."""
     def build(folder: Path) -> None:
         from xfemnav.pipeline.report import write_report
 
-        write_report(record, folder, figures, names)
+        write_report(record, folder, figures)
 
     with recorded() as caught:
-        entry, _ = chain.cache.obtain(page_key(record, names), build)
+        entry, _ = chain.cache.obtain(page_key(record), build)
     chain.warned += caught
     return entry.folder / "report.html", entry.files["report.html"]

@@ -15,10 +15,11 @@ from urllib.parse import quote
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
 from xfemnav.errors import FAULTS
-from xfemnav.naming import ARGUMENTS, Names, said
+from xfemnav.naming import Names, flag, said, told
+from xfemnav.pipeline import bearings
 from xfemnav.pipeline.disk import write_atomic
 from xfemnav.pipeline.display import convention, lip_ends, lips_told
-from xfemnav.pipeline.flags import path_places
+from xfemnav.pipeline.flags import keys, path_places
 from xfemnav.pipeline.methods import CITATIONS, methods_paragraph
 from xfemnav.pipeline.palette import reduced
 from xfemnav.pipeline.scenario_file import AGAIN, put
@@ -49,6 +50,8 @@ CHECKS = {  # name in run.json: (what it is, unit)
     "main_young_kpa": ("Young's modulus of the main tissue", "kPa"),
 }
 WORDS = {"ok": "ok", "look": "look at it", "untrusted": "not trusted"}
+#: The page calls settings by the keys of the scenario beside it, whichever way the run was asked for.
+NAMES = keys(Names(flag, flag, "", ""))
 EARLIER_PX = 900  # width of the pictures of earlier steps
 #: What no check can see, and who must.
 UNCHECKED = ("whether the mask is the organ", "whether cuts and resections are where the surgeon's are",
@@ -65,23 +68,22 @@ def checked(run: dict) -> str:
             f"not to be trusted{amber}. Not checked: {'; '.join(UNCHECKED)}.")
 
 
-def write_report(run: dict, folder: Path, figures: dict[str, Path], names: Names = ARGUMENTS) -> Path:
+def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
     """Write `folder`/report.html for `run`, the content of its run.json, and return the path.
 
-    `figures`: the pictures by role, "figure" the last step's, "figure:<step>" those of earlier ones. `names`: how
-    remedies call settings.
+    `figures`: the pictures by role, "figure" the last step's, "figure:<step>" those of earlier ones.
     """
     target = folder / "report.html"
     page = render(run, {role: reduced(path.read_bytes(), None if role == "figure" else EARLIER_PX)
-                        for role, path in figures.items()}, names)
+                        for role, path in figures.items()})
     write_atomic(target, page.encode(errors="backslashreplace"))  # file names may hold bytes that are no UTF-8
     return target
 
 
-def render(run: dict, figures: dict[str, bytes], names: Names = ARGUMENTS) -> str:
+def render(run: dict, figures: dict[str, bytes]) -> str:
     """The page. Every value is escaped by the template engine: names of files and cuts are other people's text."""
     shown = run["slice"]["plane"], run["slice"]["axes"], run["parameters"]["display"]
-    cuts = [(cut["name"], cut["path"]) for cut in run["cuts"]]
+    cuts, error = [(cut["name"], cut["path"]) for cut in run["cuts"]], run.get("error")
     return template("report.html").render(
         title=Path(run["parameters"]["image"]).name,
         status=run["status"],
@@ -89,7 +91,8 @@ def render(run: dict, figures: dict[str, bytes], names: Names = ARGUMENTS) -> st
         checked=checked(run),
         display=convention(*shown),
         lips=lips_told(cuts, *shown),
-        error=run.get("error"),
+        places=[sentence[0].upper() + sentence[1:] for sentence in bearings.told(run)],
+        error=error and error | {"text": told(error, NAMES)},
         figure=embedded(figures.get("figure")),
         steps=[step_row(step, embedded(figures.get(f"figure:{step['name']}")), run["outputs"])
                for step in run.get("steps", ())],
@@ -99,7 +102,8 @@ def render(run: dict, figures: dict[str, bytes], names: Names = ARGUMENTS) -> st
         again=AGAIN,
         stages=run["stages"],
         checks=[check_row(name, run) for name in CHECKS if run["checks"].get(name) is not None],
-        warnings=[(each["code"], each["text"], said(FAULTS[each["code"]].remedy, names)) for each in run["warnings"]],
+        warnings=[(each["code"], told(each, NAMES), said(FAULTS[each["code"]].remedy, NAMES))
+                  for each in run["warnings"]],
         retractors=[retractor_row(each, {name: lip_ends(path, shown[1]) for name, path in cuts})
                     for each in run["retractor"]],
         tips=[tip_row(each) for each in run["tips"]],

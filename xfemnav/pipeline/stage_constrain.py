@@ -205,12 +205,17 @@ def _measured(slice, params):
 
 def facts(value, inputs):
     """What run.json says of the stage."""
-    enrichment = value.enrichment
+    from xfemnav.pipeline.bearings import Bearings
+
+    enrichment, (slice, segmentation) = value.enrichment, inputs.value("segment")
+    bearings = Bearings(slice, segmentation.mask)
     return {
         "enrichment": {"heaviside_nodes": len(enrichment.heaviside_nodes), "tip_nodes": len(enrichment.tip_nodes),
                        "n_dof": int(enrichment.n_dof), "added_dof": int(enrichment.n_dof - 2 * len(value.mesh.points))},
-        "cuts": [{"name": cut.name, "path": cut.path.tolist(), "length_mm": cut.length} for cut in value.cuts],
-        "resections": [{"name": item.name, "area_mm2": item.area_mm2} for item in value.resections],
+        "cuts": [{"name": cut.name, "path": cut.path.tolist(), "length_mm": cut.length,
+                  "told": bearings.of_cut(cut)} for cut in value.cuts],
+        "resections": [{"name": item.name, "area_mm2": item.area_mm2, "told": bearings.of_resection(item)}
+                       for item in value.resections],
         "pieces": [{"name": piece.name, "area_mm2": piece.area_mm2, "place_mm": list(piece.place_mm),
                     "fate": piece.fate} for piece in value.pieces],
     }

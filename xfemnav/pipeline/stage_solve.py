@@ -13,8 +13,8 @@ def compute(params, inputs):
     solution = solve(inputs.value("constrain"))
     if solution.inverted_mm2 > FOLDED_NOTICE.value:
         worst = solution.rest[solution.det_F.argmin()].mean(axis=0)
-        warn("W402", f"{solution.inverted_mm2:.3g} mm2 of tissue is turned inside out, the worst near "
-                     f"({worst[0]:.1f}, {worst[1]:.1f}) mm.")
+        warn("W402", f"{solution.inverted_mm2:.3g} mm2 of tissue is turned inside out, over {FOLDED_NOTICE.value:g} "
+                     f"mm2, the worst near ({worst[0]:.1f}, {worst[1]:.1f}) mm.")
     return solution
 
 
