@@ -14,10 +14,11 @@ from xfemnav.geometry.cut import Cut
 from xfemnav.imaging.slices import take_slice
 from xfemnav.pipeline.bearings import Bearings, told, towards
 
+PLAIN = np.eye(3)
 MIDDLE = np.array([10.0, 20.0, 30.0])  # of a ball, RAS mm: its left half is not the left of the origin
 
 
-def ball(turn=np.eye(3), code=2):
+def ball(turn=PLAIN, code=2):
     """A volume with a ball of 40 mm, turned against the world."""
     size = 61
     affine = affine_of(turn * 2.0, MIDDLE - turn @ np.full(3, size - 1.0))
