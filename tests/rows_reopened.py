@@ -100,9 +100,26 @@ def example(folder):
     return f"{len(names)} files, from the package xfemnav_examples of the wheel", ""
 
 
+def several_slices(folder):
+    """Two slices of one volume, by a manifest, and what the table says of them."""
+    from xfemnav_cli.main import cli
+
+    write(folder / "vol.nii.gz", np.stack([brain(), brain()], axis=2))
+    (folder / "slices.tsv").write_text(
+        "name\timage\tslice\tcut\topening_mm\telement_size_mm\tcorridor_element_mm\n"
+        f"z0\tvol.nii.gz\t0\t{CUT}\t4\t8\t4\nz9\tvol.nii.gz\t9\t{CUT}\t4\t8\t4\n")
+    code = cli.main(["batch", str(folder / "slices.tsv"), str(folder / "out"), "-j2"], standalone_mode=False)
+    header, *lines = (folder / "out" / "batch.tsv").read_text().splitlines()
+    rows = [dict(zip(header.split("\t"), line.split("\t"), strict=True)) for line in lines]
+    assert code == 1 and [row["status"] for row in rows] == ["complete", "failed"]
+    assert rows[1]["error"] == "E120" and float(rows[0]["max_displacement_mm"]) > 1 and rows[1]["residual"] == "n/a"
+    return "batch.tsv: z0 complete, moved by {max_displacement_mm} mm; z9 failed".format(**rows[0]), rows[1]["error"]
+
+
 ROWS = [
     Row("D7", "a run, made again from what it left", "its settings stood in run.json alone", made_again),
     Row("D7", "a scenario that leads out of its folder", "no way to allow it", allowed),
     Row("D8", "the phantom of the pages", "in neither wheel nor sdist", example),
+    Row("D9", "slices of one volume in a batch", "a copy of the volume each, no table", several_slices),
     Row("7", "a run moved, its image moved, changed, gone", "nothing told where the image was", moved),
 ]

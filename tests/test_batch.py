@@ -8,11 +8,15 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import nibabel
 import numpy as np
 import pytest
 
-from xfemnav_cli.batch import find_items
+from xfemnav.errors import XfemnavError
+from xfemnav.pipeline.batch_table import Table, row
+from xfemnav.pipeline.stage_solve import mean_displacement
+from xfemnav_cli.slices import find_items, read_manifest
 
 SCENARIO = """
 xfemnav = 1
@@ -65,6 +69,114 @@ def test_only_slices_with_a_scenario_of_their_name_are_run(tmp_path):
         ("a.nii.gz", Path("out/a")), ("b.nii", Path("out/b")), ("nothing.nii.gz", Path("out/nothing"))]
 
 
+def table(target: Path) -> dict[str, dict[str, str]]:
+    """The rows of batch.tsv by name."""
+    header, *lines = (target / "batch.tsv").read_text().splitlines()
+    rows = [dict(zip(header.split("\t"), line.split("\t"), strict=True)) for line in lines]
+    return {row["name"]: row for row in rows}
+
+
+def test_slices_of_one_volume_share_it(tmp_path):
+    """By the name of the image, by the name that they share with it, or by what they say."""
+    for name in ("vol.nii.gz", "vol.z12.toml", "vol.a.z18.toml", "vol.toml", "none.z1.toml"):
+        (tmp_path / name).touch()
+    (tmp_path / "said.toml").write_text('image = "vol.nii.gz"')
+    found = {item.name: item.image and item.image.name for item in find_items(tmp_path, Path("out"))}
+    assert found == {"vol.z12": "vol.nii.gz", "vol.a.z18": "vol.nii.gz", "vol": "vol.nii.gz", "said": None,
+                     "none.z1": "none.z1.nii.gz"}
+
+
+def write_volume(folder: Path) -> Path:
+    """Three slices, at 0, 5 and 10 mm."""
+    image = write_slice(folder, "vol", 1.0)
+    values = np.asarray(nibabel.load(image).dataobj)
+    nibabel.save(nibabel.Nifti1Image(np.concatenate([values, 0.9 * values, 0.8 * values], axis=2),
+                                     np.array([[1, 0, 0, -40], [0, 1, 0, -45], [0, 0, 5, 0], [0, 0, 0, 1.0]])), image)
+    (folder / "vol.toml").unlink()
+    return image
+
+
+def test_a_manifest_is_a_command_line_a_row(tmp_path):
+    """Paths lead from the manifest, anywhere; the table has a row for each, from any folder."""
+    (tmp_path / "study/lists").mkdir(parents=True)
+    image = write_volume(tmp_path / "study")
+    common = "../vol.nii.gz\t0,40 2,10\t4\t0"
+    (tmp_path / "study/lists/slices.tsv").write_text(
+        "name\timage\tcut\telement_size_mm\tcorridor_mm\tslice_mm\topening_mm\tstrict\n"
+        f"first\t{common}\t0\t3\tn/a\nsecond\t{common}\t10\t2\tfalse\nthird\t{common}\t99\t2\t\n"
+        f"strict\t{common}\t5\t0\ttrue\n")
+    target = tmp_path / "out"
+    code, text = finished(batch(tmp_path / "study/lists/slices.tsv", target, tmp_path / "cache", cwd="/"))
+    rows = table(target)
+    assert code == 1 and list(rows) == ["first", "second", "third", "strict"], text
+    for name, index, place, opening in (("first", "0", "0", 3), ("second", "2", "10", 2)):
+        row = rows[name]
+        assert (row["slice"], row["slice_mm"], row["status"], row["exit_code"], row["trusted"], row["error"]) == (
+            index, place, "complete", "0", "true", "n/a")
+        assert float(row["max_displacement_mm"]) == pytest.approx(opening / 2, rel=0.2)
+        assert 0 < float(row["mean_displacement_mm"]) < float(row["max_displacement_mm"])
+        record = json.loads((target / name / "run.json").read_text())
+        assert row["warnings"] == ",".join(sorted({item["code"] for item in record["warnings"]}))
+        assert row["lip_error_mm_max"] == f"{record['checks']['lip_error_mm']['max']:.6g}"
+        assert float(row["largest_force_mN_per_mm"]) > 0 and row["forces_mN_per_mm"].startswith("cut left ")
+        assert (target / row["image"]).samefile(image) and (target / row["output"]).samefile(target / name)
+        assert float(row["seconds"]) > 0
+    third = rows["third"]
+    assert (third["status"], third["exit_code"], third["error"], third["trusted"], third["residual"]) == (
+        "failed", "65", "E120", "n/a", "n/a")
+    assert rows["strict"]["error"].startswith("W") and rows["strict"]["exit_code"] == "65"
+
+
+@pytest.mark.parametrize("text, words", [
+    ("", ""), ("image\n", None), ("image\tcutt\na\tb\n", "column 'cutt'"), ("cut\n0,0 1,1\n", "'image' or 'scen"),
+    ("image\tcut\na.nii\n", "line 2 has 1 cells"), ("image\na.nii\na.nii\n", "several rows called 'a'"),
+    ("name\timage\n../x\ta.nii\n", "no name of a folder"), ("image\tstrict\na.nii\tperhaps\n", "true or false"),
+    ("image\toutput\na.nii\tx\n", "column 'output'")])
+def test_a_wrong_manifest_is_told(tmp_path, text, words):
+    path = tmp_path / "slices.tsv"
+    path.write_text(text)
+    if not text:
+        with pytest.raises(XfemnavError, match="E106"):
+            read_manifest(path, tmp_path / "out")
+    elif words is None:
+        assert read_manifest(path, tmp_path / "out") == []
+    else:
+        with pytest.raises(click.UsageError, match=words):
+            read_manifest(path, tmp_path / "out")
+
+
+def test_a_manifest_of_commas_and_of_options_as_they_are_typed(tmp_path):
+    path = tmp_path / "slices.csv"
+    path.write_bytes('\ufeffscenario,--slice-mm,cut,cut\r\nx.toml,3,"0,1 2,3","4,5 6,7"\r\n'.encode())
+    item, = read_manifest(path, tmp_path / "out")
+    assert item.name == "x" and item.image is None and item.words == (
+        "--scenario", str(tmp_path / "x.toml"), "--slice-mm=3", "--cut=0,1 2,3", "--cut=4,5 6,7")
+
+
+def test_rows_of_before_stay_until_their_slice_has_run(tmp_path):
+    """Interrupted and called again, the table has what was done."""
+    made = Table(tmp_path, ["a", "b", "c"])
+    done = row("a", "a.nii", "a", 0, 1.25, {"status": "complete", "warnings": [{"code": "W409"}, {"code": "W301"}]})
+    made.put("a", done)
+    assert list(table(tmp_path)) == ["a", "b", "c"] and table(tmp_path)["b"]["status"] == "n/a"
+    again = Table(tmp_path, ["c", "a", "new"])
+    again.put("c", row("c", "c.nii", "c", -9, 1.0, {}, ""))
+    rows = table(tmp_path)
+    assert list(rows) == ["c", "a", "new"] and rows["a"] == done and rows["a"]["warnings"] == "W301,W409"
+    assert (rows["c"]["status"], rows["c"]["exit_code"]) == ("failed", "-9")
+    (tmp_path / "batch.tsv").write_text("name\timage\nmine\t1\n")
+    with pytest.raises(XfemnavError, match="E731"):
+        Table(tmp_path, ["a"])
+
+
+def test_mean_displacement_is_by_area():
+    """A motion that is all translation has its length; where half of the area rests, half of it."""
+    rest = np.array([[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0, 1]], [[0, 0], [-1, 0], [0, -2.0]]])
+    shift, first_two = np.array([3.0, 4.0]), np.array([1, 1, 0])[:, None, None]
+    assert mean_displacement(rest, rest + shift) == pytest.approx(5.0)
+    assert mean_displacement(rest, rest + first_two * shift) == pytest.approx(2.5)
+
+
 def test_an_empty_folder_is_a_usage_error(tmp_path):
     code, text = finished(batch(tmp_path, tmp_path / "out", tmp_path / "cache"))
     assert code == 2 and "<stem>.toml" in text
@@ -87,6 +199,8 @@ def test_a_failing_slice_stops_no_other_and_nothing_is_done_twice(tmp_path):
     assert "E101" in next(line for line in text.splitlines() if line.startswith("abroken"))
     assert stages(target, "good") == {"ran"}
     assert (target / "good" / "report.html").is_file()
+    assert {name: (row["status"], row["error"]) for name, row in table(target).items()} == {
+        "abroken": ("failed", "E101"), "good": ("complete", "n/a"), "lonely": ("failed", "E100")}
 
     write_slice(source, "abroken", 1.5)  # mended: only this one is new
     code, text = finished(batch(source, target, cache))
@@ -130,6 +244,8 @@ def test_twelve_slices_two_broken_killed_halfway(tmp_path):
     records = {path.parent.name: json.loads(path.read_text()) for path in target.glob("*/run.json")}
     done = {stem for stem, record in records.items() if record["status"] == "complete"}
     assert entries and len(done) >= 3
+    told = {name for name, row in table(target).items() if row["status"] == "complete"}
+    assert told <= done and len(told) >= 3, "the table is whole at any time"
 
     code, text = finished(batch(source, target, cache))
     assert code == 1 and "10 updated, 0 untrusted, 2 failed" in text
@@ -137,3 +253,6 @@ def test_twelve_slices_two_broken_killed_halfway(tmp_path):
     assert all(stages(target, stem) == {"cached"} for stem in done)
     failed = [line.split()[0] for line in text.splitlines() if " failed " in line and not line.startswith("[")]
     assert failed == ["slice03", "slice07"]
+    assert [row["status"] for row in table(target).values()].count("complete") == 10
+    assert {name: row["error"] for name, row in table(target).items() if row["status"] == "failed"} == {
+        "slice03": "E106", "slice07": "E780"}

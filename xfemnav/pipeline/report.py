@@ -33,6 +33,7 @@ CHECKS = {  # name in run.json: (what it is, unit)
     "residual": ("relative residual of the linear system", ""),
     "lip_error_mm": ("difference between the held lips and what was prescribed", "mm"),
     "max_displacement_mm": ("largest displacement", "mm"),
+    "mean_displacement_mm": ("mean displacement, by area", "mm"),
     "inverted_mm2": ("tissue turned inside out (0 wanted)", "mm²"),
     "det_F_p01": ("local change of area, 1 % quantile (1 is none, below 0 is inside out)", ""),
     "largest_strain": ("strain that 1 % of the tissue exceeds", ""),

@@ -46,6 +46,7 @@ def facts(value, inputs):
             "min_gap_mm": value.min_gap_mm,
             "lip_error_mm": {"rms": value.lip_error_rms_mm, "max": value.lip_error_max_mm},
             "max_displacement_mm": value.max_displacement_mm,
+            "mean_displacement_mm": mean_displacement(value.rest, value.moved),
             "main_strain": measured.main_strain,
             "turning_mm": turning and turning.error_mm,
             "turned_deg": turning and turning.degrees,
@@ -65,6 +66,16 @@ def inverted_area(rest, moved) -> float:
 
     before, after = (orient(x[:, 0], x[:, 1], x[:, 2]) / 2 for x in (rest, moved))
     return float(before[before * after < 0].sum())
+
+
+def mean_displacement(rest, moved) -> float:
+    """Mean length of the displacement (mm) of the triangles (t, 3, 2), by their area at rest; at their corners."""
+    import numpy as np
+
+    from xfemnav.geometry.mesh import orient
+
+    areas = abs(orient(rest[:, 0], rest[:, 1], rest[:, 2]))
+    return float(np.average(np.linalg.norm(moved - rest, axis=2).mean(axis=1), weights=areas))
 
 
 def _held(problem, cut, span):
