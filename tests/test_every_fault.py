@@ -7,6 +7,7 @@ program and the system, and prints how many there were.
 
 import contextlib
 import errno
+import importlib
 import os
 import random
 import shutil
@@ -21,7 +22,10 @@ from faults.battery import HALF, WRITES, Battery, Fault
 from faults.claims import check_left, check_said, differ, files_in, public
 from faults.commands import COMMANDS, NEW, remember, write_inputs
 from faults.within import Here
+from numba import config
 from small import xfemnav
+
+from xfemnav.pipeline import kernels
 
 SCRIPT = Path(__file__).parent / "faults" / "everywhere.py"
 HOW = (errno.ENOSPC, errno.EIO, errno.EACCES, HALF)
@@ -54,6 +58,40 @@ def test_nothing_is_taken_away_under_a_record_that_names_it(tmp_path, quick_fold
     for n in range(len(true.calls) - 6, len(true.calls) + 1):
         battery.fault(true, Fault(n, how, 1))
     assert not battery.failed and battery.found["exit 0"] < 7, battery.failed
+
+
+KERNEL = """from numba import njit
+@njit(cache=True)
+def twice(x):
+    return 2 * x
+"""
+
+
+@pytest.mark.parametrize("call", ["open", "replace"])
+def test_a_kernel_that_cannot_be_kept_ends_nothing(tmp_path, monkeypatch, call):
+    """The disk of compiled kernels is full: they are compiled anew in the next run."""
+    from numba.core import caching
+
+    def full(path, mode="w", *_):
+        if mode == "rb":
+            return open(path, mode)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def compiled(name):
+        (tmp_path / f"{name}.py").write_text(KERNEL)
+        return importlib.import_module(name).twice(4)
+
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path / "kernels"))
+    plain = contextlib.contextmanager(lambda cache: (yield))
+    monkeypatch.setattr(caching.Cache, "_guard_against_spurious_io_errors", plain)  # numba's own
+    with monkeypatch.context() as patched:
+        patched.setattr(*((caching, call) if call == "open" else (os, call)), full, raising=False)
+        with pytest.raises(OSError, match="No space"):
+            compiled(f"first_{call}")
+        kernels.spare_the_run()
+        assert compiled(f"second_{call}") == 8
+    assert compiled(f"third_{call}") == 8 and list(tmp_path.glob("kernels/**/third*.nbc"))
 
 
 @pytest.fixture(scope="session")

@@ -63,6 +63,7 @@ def settle_kernel_cache() -> str | None:
     atexit.register(_seal, base / name)
     if "numba" in sys.modules:
         sys.modules["numba"].config.reload_config()
+        spare_the_run()
     _forget_old(base, name)
     return PASSING if passing else None
 
@@ -83,6 +84,16 @@ def made_of(package: Path = PACKAGE) -> set[Path]:
     return found
 
 
+def spare_the_run() -> None:
+    """Let a kernel that cannot be kept be compiled anew in the next run: numba would end this one. It loads numba.
+
+    Numba passes over such errors where they are usual, on Windows, at this place.
+    """
+    from numba.core.caching import Cache
+
+    Cache._guard_against_spurious_io_errors = lambda cache: suppress(OSError)
+
+
 @contextmanager
 def compiling(stage: str, tell: Callable[[], None]) -> Iterator[None]:
     """While a stage is computed, after `settle_kernel_cache`: `tell` if it was never computed by this code before."""
@@ -90,6 +101,8 @@ def compiling(stage: str, tell: Callable[[], None]) -> Iterator[None]:
     new = stage in SLOW and not done.exists()
     if new:
         tell()
+    if stage in SLOW:
+        spare_the_run()
     yield
     if new:
         with suppress(OSError):  # then it is told again

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.pipeline.config import configure
 from xfemnav.pipeline.flags import AnyPath, Drawn, Flags, numbers
-from xfemnav.pipeline.kernels import settle_kernel_cache
+from xfemnav.pipeline.kernels import settle_kernel_cache, spare_the_run
 from xfemnav.pipeline.parameters import BLADE
 from xfemnav.pipeline.result import SIDES, Side, side_number
 from xfemnav.pipeline.signatures import own_names, takes_flags
@@ -63,6 +63,7 @@ class Session:
         from xfemnav.geometry.mesh import Mesh
 
         settle_kernel_cache()  # before kernels are imported
+        spare_the_run()
         if corridor is not None and "cut" in flags:
             raise XfemnavError("E780", "corridor and cut both say where cuts are planned: give the corridor alone.")
         if not (isinstance(reach_mm, int | float) and 0 < reach_mm < np.inf):
