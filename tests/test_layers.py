@@ -24,7 +24,7 @@ EVERYWHERE = set(LAYERS)
 HOMES = {
     "numpy": EVERYWHERE - {"cli"},
     "scipy": EVERYWHERE - {"cli"},
-    "numba": {"geometry", "mechanics", "imaging"},
+    "numba": {"geometry", "mechanics", "imaging", "pipeline"},  # pipeline: where compiled kernels are kept, no kernels
     "sksparse": {"mechanics"},
     "shapely": EVERYWHERE - {"cli"},
     "nibabel": {"imaging"},
