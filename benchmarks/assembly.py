@@ -39,14 +39,14 @@ def given(mesh: Mesh) -> tuple:
     """What the kernel is given."""
     lam, mu = lame(MATERIAL)
     none = np.empty((0, 3), int), np.empty((0, 6, 6))
-    return len(mesh.points), mesh.cells, mesh.gradients, lam * mesh.areas, mu * mesh.areas, *none
+    return len(mesh.points), mesh.cells, mesh.gradients, lam * mesh.volumes, mu * mesh.volumes, *none
 
 
 def by_list(mesh: Mesh) -> csc_array:
     """All element matrices by einsum, as one list of entries."""
     vars(mesh).pop("gradients", None)
     n = 2 * len(mesh.points)
-    K = plain_blocks(mesh.gradients, mesh.areas, MATERIAL.stiffness_in(np.arange(len(mesh.cells))))
+    K = plain_blocks(mesh.gradients, mesh.volumes, MATERIAL.stiffness_in(np.arange(len(mesh.cells))))
     dof = (2 * mesh.cells[:, :, None] + np.arange(2)).reshape(-1, 6)
     return coo_array((K.ravel(), (np.repeat(dof, 6, axis=1).ravel(), np.tile(dof, (1, 6)).ravel())), (n, n)).tocsc()
 

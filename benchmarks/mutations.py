@@ -21,7 +21,7 @@ FAULTS = (
     ("a dropped Jacobian in the collapsed rule", "mechanics/quadrature.py", "return s, t, w * s\n", "return s, t, w / 2\n"),
     ("branch functions without their shift", "mechanics/space.py", "branch_functions(r, theta) - table.shift", "branch_functions(r, theta) - 0 * table.shift"),
     ("swapped lips", "mechanics/lips.py", "own = 0 if side == LEFT else 1", "own = 1 if side == LEFT else 0"),
-    ("lips of the paper's rows swapped", "mechanics/lips.py", "np.repeat(sub.lip_parts[facets, 0 if side == LEFT else 1], 2)", "np.repeat(sub.lip_parts[facets, 1 if side == LEFT else 0], 2)"),
+    ("lips of the paper's rows swapped", "mechanics/lips.py", "np.repeat(split.lips.parts[facets, 0 if side == LEFT else 1], 2)", "np.repeat(split.lips.parts[facets, 1 if side == LEFT else 0], 2)"),
     ("pieces not joined at a cell's third node", "mechanics/enrichment.py", "for local in range(3):", "for local in range(2):"),
     ("shear modulus of plane stress in plane strain", "mechanics/elasticity.py", "[0, 0, (1 - 2 * nu) / 2]])", "[0, 0, (1 - nu) / 2]])"),
     ("shear strain with its derivatives exchanged", "mechanics/elasticity.py", "_spread(gy, gx)]", "_spread(gx, gy)]"),

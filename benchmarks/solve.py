@@ -70,8 +70,8 @@ def phases(problems) -> tuple[str, list[dict]]:
     rows, grown = [], []
     for target, problem in problems.items():
         mesh, cuts, material = problem.mesh, problem.cuts, problem.material
-        sub = embed(mesh, cuts)
-        space = Space(mesh, sub, enrich(mesh, sub))
+        split = embed(mesh, cuts)
+        space = Space(mesh, split, enrich(mesh, split))
         rich = (space.enrichment.dof >= len(mesh.points)).any(axis=1)
         rich[space.branch_parts] = True
         K = (stiffness(space, material) + problem.springs).tocsc()
@@ -80,7 +80,7 @@ def phases(problems) -> tuple[str, list[dict]]:
         factor = SUPERLU(A)
         parts = {
             "find the cut cells": lambda mesh=mesh, cuts=cuts: embed(mesh, cuts),
-            "basis functions (H, F)": lambda mesh=mesh, sub=sub: enrich(mesh, sub),
+            "basis functions (H, F)": lambda mesh=mesh, split=split: enrich(mesh, split),
             "stiffness of enriched parts": lambda s=space, m=material, r=rich: stiffness_of_parts(s, m, r),
             "stiffness of plain parts": lambda s=space, m=material, r=rich: stiffness_of_parts(s, m, ~r),
             "conditions eliminated, scaling": lambda p=problem, K=K, B=basis: (

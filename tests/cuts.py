@@ -14,7 +14,7 @@ def _size(mesh):
 
 
 def _inner_nodes(mesh):
-    return np.setdiff1d(np.arange(len(mesh.points)), mesh.boundary_edges.ravel())
+    return np.setdiff1d(np.arange(len(mesh.points)), mesh.boundary_facets.ravel())
 
 
 def _goal(mesh, rng):

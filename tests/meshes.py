@@ -62,8 +62,8 @@ def cut_in(mesh, *path, **kind) -> Cut:
 
 def space_of(mesh, *cuts, tip_enrichment="topological") -> Space:
     """The finite element space of a mesh with cuts."""
-    subcells = embed(mesh, cuts)
-    return Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment))
+    split = embed(mesh, cuts)
+    return Space(mesh, split, enrich(mesh, split, tip_enrichment))
 
 
 def measured_outline(mesh, cut, u) -> np.ndarray:
@@ -71,9 +71,9 @@ def measured_outline(mesh, cut, u) -> np.ndarray:
 
     `side` is that of the facet: +1 left and -1 right of the walk along a straight or slightly bent cut.
     """
-    subcells = embed(mesh, (cut,))
-    a, b = subcells.rim_ends.swapaxes(0, 1)
-    path = subcells.paths[0]
+    split = embed(mesh, (cut,))
+    a, b = split.rim.facets.swapaxes(0, 1)
+    path = split.paths[0]
     travel = path[-1] - path[0]
     side = np.sign(orient(path[0], path[0] + travel, (a + b) / 2))
     points, side = np.concatenate([a, b]), np.tile(side, 2)

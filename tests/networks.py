@@ -67,7 +67,7 @@ def _inside(mesh, rng):
 
 
 def _on_outline(mesh, rng):
-    a, b = mesh.points[mesh.boundary_edges[rng.integers(len(mesh.boundary_edges))]]
+    a, b = mesh.points[mesh.boundary_facets[rng.integers(len(mesh.boundary_facets))]]
     return a + rng.uniform() * (b - a)
 
 

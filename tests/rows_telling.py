@@ -69,7 +69,7 @@ def flat_points(folder):
 def where(folder):
     code, text = typed(folder, "run", "head.nii.gz", "--cut", CUT, "--opening-mm", "4", *QUICK)
     assert code == 0 and "enters on the patient's left, 8 mm in front of the origin, 10 mm above it" in text
-    assert "its left lip lies towards the patient's front" in text
+    assert "the lip on its left lies towards the patient's front" in text
     return text.partition("where ")[2].partition(" results")[0], ""
 
 

@@ -41,19 +41,19 @@ def words(plane, start, end, image=None, mouth=True):
 
 @pytest.mark.parametrize("plane, start, end, place, lips", [
     ("axial", (-30, 20, 30), (0, 20, 30), "enters on the patient's left, 20 mm in front of the origin, 30 mm above it",
-     "left lip lies towards the patient's front, its right lip towards the back"),
+     "the lip on its left lies towards the patient's front, the one on its right towards the back"),
     ("axial", (50, 0, 30), (20, 0, 30), "enters on the patient's right, level with the origin, 30 mm above it",
-     "left lip lies towards the patient's back, its right lip towards the front"),
+     "the lip on its left lies towards the patient's back, the one on its right towards the front"),
     ("axial", (11, 60, 30), (11, 30, 30), "enters near the patient's middle, 60 mm in front of the origin, 30 mm above",
-     "left lip lies towards the patient's right, its right lip towards the left"),
+     "the lip on its left lies towards the patient's right, the one on its right towards the left"),
     ("axial", (-18, -8, 30), (10, 20, 30), "enters on the patient's left, 8 mm behind the origin, 30 mm above it",
-     "left lip lies towards the patient's left and front, its right lip towards the right and back"),
+     "the lip on its left lies towards the patient's left and front, the one on its right towards the right and back"),
     ("coronal", (10, 20, 70), (10, 20, 40), "enters near the patient's middle, 20 mm in front of the origin, 70 mm",
-     "left lip lies towards the patient's right, its right lip towards the left"),
+     "the lip on its left lies towards the patient's right, the one on its right towards the left"),
     ("coronal", (-30, 20, -10), (0, 20, -10), "enters on the patient's left, 20 mm in front of the origin, 10 mm below",
-     "left lip lies towards the patient's head, its right lip towards the feet"),
+     "the lip on its left lies towards the patient's head, the one on its right towards the feet"),
     ("sagittal", (10, 60, 0), (10, 30, 0), "enters 10 mm right of the origin, 60 mm in front of it, at its height",
-     "left lip lies towards the patient's feet, its right lip towards the head"),
+     "the lip on its left lies towards the patient's feet, the one on its right towards the head"),
 ])
 def test_where_a_cut_enters_in_every_plane(plane, start, end, place, lips):
     found = words(plane, start, end)
@@ -73,7 +73,7 @@ def test_an_oblique_slice_is_told_by_the_world():
     start, end = MIDDLE - 40 * turn[:, 0], MIDDLE
     found = words("axial", start, end, ball(turn))
     assert "enters on the patient's left, 20 mm in front of the origin, 30 mm above it" in found
-    assert "left lip lies towards the patient's front," in found
+    assert "the lip on its left lies towards the patient's front," in found
     steep = Rotation.from_euler("x", 40, degrees=True).as_matrix()
     assert "towards the patient's front and head," in words("axial", start, end, ball(steep))
 
@@ -103,8 +103,8 @@ def test_it_is_said_on_stdout_in_the_record_and_under_the_verdict(tmp_path, capf
     run = ("run", path, "--cut", CUT, *OPEN, *QUICK[:4], "-w", tmp_path / "cache", "-o", tmp_path / "out")
     for _ in range(2):  # from the cache too
         code, out, _ = xfemnav(capfd, *run, "--resect", "5,-20 15,-20 15,-10 5,-10", "--skull", "contact")
-        wanted = ("cut 'cut' enters on the patient's left, 8 mm in front of the origin, 10 mm above it; its left lip "
-                  "lies towards the patient's front, its right lip towards the back")
+        wanted = ("cut 'cut' enters on the patient's left, 8 mm in front of the origin, 10 mm above it; the lip "
+                  "on its left lies towards the patient's front, the one on its right towards the back")
         assert code == 0 and f"where      {wanted}" in out and "resection 'resection' takes 100 mm2 out" in out
     record = json.loads((tmp_path / "out" / "run.json").read_text())
     assert told(record)[0] == wanted

@@ -54,14 +54,14 @@ def test_the_outline_is_held_there_whatever_the_skull_and_near_any_mouth(kind):
     radius = np.hypot(*mesh.points.T).max()
     cut = cut_in(mesh, (3, 80), (1.7, 12.3))
     space = space_of(mesh, cut)
-    mouth = space.subcells.paths[0][:1]
+    mouth = space.parts.paths[0][:1]
     skull = Skull(kind, craniotomy_mm=2.5 * radius, border=((-99.0, -99.0), (99.0, 99.0), 0.5))
     open_everywhere = skull_conditions(space, skull, mouth, BRAIN)
     assert not open_everywhere.constraints.C.nnz and not open_everywhere.springs.nnz
     at = mouth[0, 1] - 3.0  # the border runs 3 mm below the mouth's height, and all above it is outside
     found = skull_conditions(space, replace(skull, border=((-99.0, -99.0), (99.0, at), 6.0)), mouth, BRAIN)
     held = np.unique(space.enrichment.node[found.constraints.C.indices // 2])
-    ends = mesh.boundary_edges[abs(mesh.points[mesh.boundary_edges].mean(axis=1)[:, 1] - at) < 6.0]
+    ends = mesh.boundary_facets[abs(mesh.points[mesh.boundary_facets].mean(axis=1)[:, 1] - at) < 6.0]
     assert len(ends) > 3 and set(held) >= set(np.unique(ends))
     assert not found.constraints.d.any()
 

@@ -75,7 +75,7 @@ def test_compliance_is_the_inverse_of_the_stiffness(mesh, organ):
     u = organ.solve(forces)
     assert_allclose(G @ forces[nodes].ravel(), u[nodes].ravel(), atol=1e-12 * np.abs(u).max())
     space = pose(mesh, (), BRAIN, SKULL).space
-    inner = np.setdiff1d(np.arange(len(mesh.points)), mesh.boundary_edges)
+    inner = np.setdiff1d(np.arange(len(mesh.points)), mesh.boundary_facets)
     back = (stiffness(space, BRAIN) @ u.ravel()).reshape(-1, 2)
     assert_allclose(back[inner], forces[inner, :, 0], atol=1e-10 * np.abs(forces).max())
 

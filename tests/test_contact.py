@@ -32,7 +32,7 @@ def block(mesh, cuts, displacement, where):
     """A block of cork, moved where `where` (b,) says so of the middles (b, 2) of its outline's facets, else free."""
     space = cut_space(mesh, cuts, "topological")
     given = given_on_rim(space, rim(space, where), lambda x, _: displacement(x))
-    contacts = lip_contacts(space, (), np.empty((0, 2)), np.zeros(space.subcells.n_parts, dtype=bool))
+    contacts = lip_contacts(space, (), np.empty((0, 2)), np.zeros(space.parts.n_parts, dtype=bool))
     problem = plate_problem(
         space, cuts, CORK, [given], np.zeros(space.enrichment.n_dof), "topological", contacts if cuts else None
     )
@@ -106,9 +106,9 @@ def test_what_presses_one_side_presses_the_other_back_along_the_normal(name):
     cut = cut_in(BLOCK, *ACROSS[name])
     problem, solution = pressed_block((cut,))
     laws(problem, solution)
-    table, sub, space = problem.enrichment, problem.subcells, problem.space
+    table, split, space = problem.enrichment, problem.parts, problem.space
     left = np.zeros(table.n_rows)
-    left[table.dof[table.body == table.body[sub.lip_parts[0, 0]]]] = 1
+    left[table.dof[table.body == table.body[split.lips.parts[0, 0]]]] = 1
     push = (problem.contacts.G.T @ solution.contact_force).reshape(-1, 2)
     assert_allclose(push.sum(axis=0), 0, atol=1e-12)
     lip = lip_quadrature(space, 0, 1, (0.0, np.inf))
@@ -117,7 +117,7 @@ def test_what_presses_one_side_presses_the_other_back_along_the_normal(name):
     assert_allclose(left @ push, (lip.weights * pressure) @ lip.normals, rtol=0.02, atol=0.02)
     reaction = (stiffness(space, CORK) @ solution.U.ravel()).reshape(-1, 2) - push
     assert_allclose(left @ reaction, -(left @ push), atol=1e-10)
-    node_rows = np.isin(table.node, BLOCK.boundary_edges)
+    node_rows = np.isin(table.node, BLOCK.boundary_facets)
     assert_allclose(reaction[~node_rows], 0, atol=1e-10)
     assert lip_gaps(space, solution.U, 0)[1].min() > -0.1 * 0.4  # at the bend, of what it is pressed by
 
@@ -199,7 +199,7 @@ def test_hats_begin_anew_at_bends_and_branches_but_not_on_curves():
         hats = problem.contacts.hats[problem.contacts.cut == 0]
         begins = hats[(hats[:, 0] == hats[:, 1]), 0]
         assert_allclose(begins, [0.0, *breaks], atol=1e-6)
-        length = np.linalg.norm(np.diff(problem.subcells.paths[0], axis=0), axis=1).sum()
+        length = np.linalg.norm(np.diff(problem.parts.paths[0], axis=0), axis=1).sum()
         assert_allclose(problem.contacts.lengths[problem.contacts.cut == 0].sum(), length, rtol=1e-9)
 
 
@@ -257,7 +257,7 @@ def test_a_closed_crack_in_compression_slides_and_does_not_open(angle):
 def test_contact_needs_no_conditions_without_lips():
     problem = pose(MESH, (), BRAIN, Skull())
     assert problem.contacts is None and solve(problem).contact == ()
-    none = np.zeros(problem.subcells.n_parts, dtype=bool)
+    none = np.zeros(problem.parts.n_parts, dtype=bool)
     assert not len(lip_contacts(problem.space, (), np.empty((0, 2)), none).gap)
 
 

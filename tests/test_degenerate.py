@@ -50,10 +50,10 @@ def survives(name, k):
         placed = place(mesh, network)
         held = tuple(Retraction(0, s, normal_mm=0.2, blade=(0, 0.4)) for s in (1, -1))
         problem = pose(mesh, placed, BRAIN, SKULL, held, lip_constraint=LIPS[k // len(MESHES) % 3])
-        sub = problem.subcells
-        assert (sub.areas > 0).all()
-        cell = np.bincount(sub.part_cell[sub.part], sub.areas, len(mesh.cells))
-        assert_allclose(cell, mesh.areas, rtol=1e-12)
+        split = problem.parts
+        assert (split.volumes > 0).all()
+        cell = np.bincount(split.cell[split.part], split.volumes, len(mesh.cells))
+        assert_allclose(cell, mesh.volumes, rtol=1e-12)
         solution = solve(problem)
     except XfemnavError as error:
         assert error.code in LISTED, f"{name} {k}: {error}"

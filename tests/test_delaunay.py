@@ -46,7 +46,7 @@ def test_points_on_lines_and_circles_are_triangulated_too():
         T, nodes = grown(points)
         assert (nodes >= 0).all()
         mesh = as_mesh(T)  # would refuse a flat or turned cell
-        assert_allclose(mesh.areas.sum(), Mesh(T.points[:4], [[0, 1, 2], [0, 2, 3]]).areas.sum(), rtol=1e-12)
+        assert_allclose(mesh.volumes.sum(), Mesh(T.points[:4], [[0, 1, 2], [0, 2, 3]]).volumes.sum(), rtol=1e-12)
 
 
 def test_cells_within_the_loop_are_marked():
@@ -54,7 +54,7 @@ def test_cells_within_the_loop_are_marked():
     T, _ = grown(loop)
     assert mark_inside(T, 4, len(loop)).all()
     inside = T.cells[: T.count[1]][T.inside[: T.count[1]] == 1]
-    assert_allclose(Mesh(T.points[: T.count[0]], inside).areas.sum(), shapely.Polygon(loop).area, rtol=1e-12)
+    assert_allclose(Mesh(T.points[: T.count[0]], inside).volumes.sum(), shapely.Polygon(loop).area, rtol=1e-12)
 
 
 def test_missing_edge_of_the_loop_is_reported():

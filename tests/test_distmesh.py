@@ -84,13 +84,13 @@ def test_corners_are_nodes_and_the_area_is_exact():
     mesh = distmesh(RECTANGLE, 0.5)
     for corner in RECTANGLE:
         assert np.linalg.norm(mesh.points - corner, axis=1).min() < 1e-12
-    assert_allclose(mesh.areas.sum(), 7 * 16, rtol=1e-12)
+    assert_allclose(mesh.volumes.sum(), 7 * 16, rtol=1e-12)
 
 
 def test_rotation_of_the_corner_list_and_clockwise_order_are_welcome():
     for outline in (np.roll(RECTANGLE, 1, axis=0), RECTANGLE[::-1]):
         mesh = distmesh(outline, 1.0)
-        assert_allclose(mesh.areas.sum(), 112, rtol=1e-12)
+        assert_allclose(mesh.volumes.sum(), 112, rtol=1e-12)
         assert mesh.quality.min() > 0.6
 
 
@@ -145,7 +145,7 @@ def test_narrow_isthmus_is_kept(width):
     mesh = distmesh(dumbbell(width), 3.0)
     assert_disc(mesh)
     assert mesh.quality.min() >= 0.5
-    assert_allclose(mesh.areas.sum(), shapely.Polygon(dumbbell(width)).area, rtol=0.02)
+    assert_allclose(mesh.volumes.sum(), shapely.Polygon(dumbbell(width)).area, rtol=0.02)
 
 
 @pytest.mark.parametrize("width", [6.0, 3.0, 1.5, 1.0])
@@ -155,7 +155,7 @@ def test_narrow_fjord_is_not_bridged(width):
     mesh = distmesh(outline, 3.0)
     assert_disc(mesh)
     assert shapely.Polygon(mesh.points[mesh.boundary_loops[0]]).is_valid
-    assert_allclose(mesh.areas.sum(), shapely.Polygon(outline).area, rtol=0.02)
+    assert_allclose(mesh.volumes.sum(), shapely.Polygon(outline).area, rtol=0.02)
 
 
 def test_round_finger_is_followed_to_its_end():

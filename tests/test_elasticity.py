@@ -56,7 +56,7 @@ def test_element_stiffness_is_6_12_or_30_square():
     for wanted, size in ((0, 6), (1, 12), (2, 30)):
         chosen = np.flatnonzero((kind[cells] == wanted).all(axis=1))
         if wanted == 1:  # three H nodes, and the cell itself is cut
-            chosen = np.intersect1d(chosen, space.subcells.part_cell[space.subcells.lip_parts])
+            chosen = np.intersect1d(chosen, space.parts.cell[space.parts.lips.parts])
         assert len(chosen)
         for cell in chosen[:5]:
             K = stiffness(space, BRAIN, cells=[cell])
@@ -92,7 +92,7 @@ def test_the_energy_of_a_linear_field_is_half_stress_times_strain_times_area(mat
     table = space.enrichment
     U = np.where((table.kind < BRANCH)[:, None], MESH.points[table.node] @ G.T, 0.0).ravel()
     strain = np.array([G[0, 0], G[1, 1], G[0, 1] + G[1, 0]])
-    wanted = strain @ material.stiffness @ strain / 2 * MESH.areas.sum()
+    wanted = strain @ material.stiffness @ strain / 2 * MESH.volumes.sum()
     # Branch parts are integrated numerically, but a constant is exact for any rule.
     assert_allclose(U @ (stiffness(space, material) @ U) / 2, wanted, rtol=1e-12)
 
@@ -111,11 +111,11 @@ def test_the_quadrature_of_branch_functions_is_good_to_a_millionth(name, seed):
     """The whole stiffness against the finer rule: the measured error of the usual one."""
     network = cuts.POSITIONS[name](MESH, np.random.default_rng(seed))
     space = space_of(MESH, *[cut_in(MESH, *path, internal=internal) for path, internal in network])
-    sub, D = space.subcells, BRAIN.stiffness
-    about = np.flatnonzero(np.isin(sub.part, space.branch_parts))
-    K = stiffness(space, BRAIN, cells=np.unique(sub.part_cell[space.branch_parts]))
-    points, weights, owner = tip_rule(sub.corners[about], sub.tips, fine=True)
-    eps = strain_matrices(space, points, sub.part[about][owner])
+    split, D = space.parts, BRAIN.stiffness
+    about = np.flatnonzero(np.isin(split.part, space.branch_parts))
+    K = stiffness(space, BRAIN, cells=np.unique(split.cell[space.branch_parts]))
+    points, weights, owner = tip_rule(split.corners[about], split.fronts.at, fine=True)
+    eps = strain_matrices(space, points, split.part[about][owner])
     fine = sum(D[s, t] * (eps[s].T @ eps[t].multiply(weights[:, None])) for s in range(3) for t in range(3))
     branch = np.repeat(space.enrichment.kind >= BRANCH, 2)
     error = np.abs((K - fine).toarray()[branch][:, branch]).max()
@@ -125,10 +125,10 @@ def test_the_quadrature_of_branch_functions_is_good_to_a_millionth(name, seed):
 def test_a_branch_function_alone_has_the_energy_of_its_closed_form():
     """All three nodes of the tip's cell with F_1: u = F_1 there. Its energy by an independent rule in polar form."""
     space = generic_space()
-    sub, table = space.subcells, space.enrichment
-    cell = sub.part_cell[sub.tip_touch[0, 1]]
+    split, table = space.parts, space.enrichment
+    cell = split.cell[split.touch[0, 1]]
     K = stiffness(space, BRAIN, cells=[cell])
-    travel, tip = sub.tip_travel[0], sub.tips[0]
+    travel, tip = split.fronts.travel[0], split.fronts.at[0]
     Q = np.array([travel, [-travel[1], travel[0]]])
     corners = (MESH.corners[cell] - tip) @ Q.T
     t, w = np.polynomial.legendre.leggauss(400)  # the tip lies .003 mm from an edge of its cell
@@ -176,7 +176,7 @@ def test_turned_and_mirrored_spaces_have_turned_stiffness(Q):
     """U'KU is the same for the turned coefficients; a mirror changes the sign of F_1 and F_4, odd in theta."""
     space = generic_space()
     other_mesh = mapped(MESH, Q, (5.0, -3.0))
-    path = space.subcells.paths[0] @ Q.T + (5.0, -3.0)
+    path = space.parts.paths[0] @ Q.T + (5.0, -3.0)
     other = space_of(other_mesh, cut_in(other_mesh, *(path + 0.0)))
     assert other.enrichment.n_dof == space.enrichment.n_dof
     U = np.random.default_rng(1).normal(size=(space.enrichment.n_rows, 2))

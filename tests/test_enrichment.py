@@ -67,7 +67,7 @@ def test_the_sets_are_those_of_the_paper_on_random_straight_cuts(name, n):
     for _ in range(n):
         cut = random_straight_cut(mesh, rng)
         space = space_of(mesh, cut)
-        table, (path,) = space.enrichment, space.subcells.paths
+        table, (path,) = space.enrichment, space.parts.paths
         # A tip that is snapped onto an edge (1e-3 h) has cut the support opposite that edge: read the snapped cut.
         J, K, pieces = read_the_paper(mesh, path, path[-1])
         assert set(table.heaviside_nodes.tolist()) == J
@@ -178,12 +178,12 @@ def test_tip_functions_ask_the_cut_and_not_the_outline_where_it_ends():
     """With no facet of the outline named, the nodes within a radius are the same: of a mouth, and of two tips."""
     mesh = disc()
     for cut in (cut_in(mesh, (3, 80), (1.7, 12.3)), cut_in(mesh, (-9.0, 2.0), (9.0, 3.0), internal=True)):
-        sub = space_of(mesh, cut).subcells
-        bare = replace(sub, rim_part=sub.rim_part[:0], rim_ends=sub.rim_ends[:0])
-        found, expected = (enrich(mesh, each, "geometric", tip_radius_mm=1e3) for each in (bare, sub))
+        split = space_of(mesh, cut).parts
+        bare = replace(split, rim=split.rim.rows([]))
+        found, expected = (enrich(mesh, each, "geometric", tip_radius_mm=1e3) for each in (bare, split))
         assert np.array_equal(found.node, expected.node)
         # The functions of a tip end before another tip; a mouth does not stop them.
-        far = np.linalg.norm(mesh.points[found.node[found.tip == 0]] - sub.tips[0], axis=1).max()
+        far = np.linalg.norm(mesh.points[found.node[found.tip == 0]] - split.fronts.at[0], axis=1).max()
         assert (far > cut.length) == cut.mouth
 
 
@@ -193,11 +193,11 @@ def test_the_table_is_consistent_wherever_the_cut_lies(name):
         mesh = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
         network = cuts.POSITIONS[name](mesh, np.random.default_rng(seed))
         space = space_of(mesh, *[cut_in(mesh, *path, internal=inner) for path, inner in network])
-        table, sub = space.enrichment, space.subcells
-        assert_allclose(table.node[table.dof], mesh.cells[sub.part_cell])
+        table, split = space.enrichment, space.parts
+        assert_allclose(table.node[table.dof], mesh.cells[split.cell])
         assert set(np.unique(table.dof)) == set(np.flatnonzero(table.kind < BRANCH))
         # Two parts of one node's support have the same function exactly when facets join them inside the support.
-        assert (table.body[sub.joins[:, 0]] == table.body[sub.joins[:, 1]]).all()
+        assert (table.body[split.joins[:, 0]] == table.body[split.joins[:, 1]]).all()
         assert_allclose(table.kind[table.entry_row], BRANCH)
-        assert_allclose(table.node[table.entry_row], mesh.cells[sub.part_cell[table.entry_part], table.entry_node])
+        assert_allclose(table.node[table.entry_row], mesh.cells[split.cell[table.entry_part], table.entry_node])
         assert (np.diff(table.entry_part) >= 0).all()

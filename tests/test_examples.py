@@ -14,6 +14,7 @@ from typing import NamedTuple
 import pytest
 from small import xfemnav
 
+import xfemnav as package
 from data_synthetic import files, surgery
 from data_synthetic.phantom import Phantom
 from xfemnav.errors import XfemnavWarning
@@ -73,6 +74,8 @@ def home(tmp_path_factory):
     for page in PAGES:
         for name, text in scenarios(page).items():
             (home / name).write_text(text)
+    package.run(home / "out/phantom/sub-phantom_T1w.nii.gz", cut="58,50.2 25.4,22", opening_mm=4.0, element_size_mm=6.0,
+                corridor_element_mm=1.5, report=False, output=home / "OUT", cache=home / "cache")
     return home
 
 

@@ -33,38 +33,38 @@ def dissected(paths, tips):
 @pytest.mark.parametrize("seed", range(4))
 def test_contacts_lips_and_rim_go_once_around_every_part(name, seed):
     """Around each part, tissue on the left, their moments are its area (Green)."""
-    sub = snapped(name, seed)
-    segments, (_, _, (joins, contacts), (lips, spans), (rim, outline), _) = dissected(sub.paths, sub.tips)
+    split = snapped(name, seed)
+    segments, (_, _, (joins, contacts), (lips, spans), (rim, outline), _) = dissected(split.paths, split.fronts.at)
     line = segments.rows[lips[:, 0]]
     faces = line[:, None, :2] + spans[:, :, None] * line[:, None, 2:4]
     contacts, outline = contacts.reshape(-1, 2, 2), outline.reshape(-1, 2, 2)
     ends = np.concatenate([contacts, contacts[:, ::-1], faces, faces[:, ::-1], outline])
     part = np.concatenate([joins[:, 0], joins[:, 1], lips[:, 1], lips[:, 2], rim[:, 0]])
-    middle = MESH.corners.mean(axis=1)[sub.part_cell]
+    middle = MESH.corners.mean(axis=1)[split.cell]
     twice = orient(middle[part], ends[:, 0], ends[:, 1])
     # A contact shorter than SEVER h is none, and one part has fewer than ten; the part is about h wide.
     slack = 10 * SEVER * MESH.sizes.max() ** 2
-    area = np.bincount(sub.part, sub.areas, sub.n_parts)
-    assert_allclose(np.bincount(part, twice / 2, sub.n_parts), area, atol=slack)
+    area = np.bincount(split.part, split.volumes, split.n_parts)
+    assert_allclose(np.bincount(part, twice / 2, split.n_parts), area, atol=slack)
 
 
 @pytest.mark.parametrize("name", NETWORKS[:4])
 def test_a_cut_drawn_from_its_tip_has_its_lips_exchanged(name):
-    sub = snapped(name, 1)
-    _, (*_, (_, to), (there, _), _, _) = dissected(sub.paths, sub.tips)
-    _, (*_, (_, fro), (back, _), _, _) = dissected([path[::-1] for path in sub.paths], sub.tips)
+    split = snapped(name, 1)
+    _, (*_, (_, to), (there, _), _, _) = dissected(split.paths, split.fronts.at)
+    _, (*_, (_, fro), (back, _), _, _) = dissected([path[::-1] for path in split.paths], split.fronts.at)
     middles = [np.sort(np.round(ends.reshape(-1, 2, 2).mean(axis=1) @ (1, 1.7e-3), 7)) for ends in (to, fro)]
     assert_allclose(*middles, atol=2e-7)  # rounded to 1e-7
     # Parts are numbered in the order in which lines split a cell, so cells are compared.
-    cell = sub.part_cell
+    cell = split.cell
     there, back = (np.sort(cell[rows[:, 1:3]], axis=1) for rows in (there, back))
     assert_array_equal(np.unique(there, axis=0), np.unique(back, axis=0))
 
 
 def test_lips_of_a_segment_follow_each_other():
     """In travel order, without gap or overlap beyond what is too short to cut."""
-    sub = embed(MESH, (Cut([(1.3, 5.1), (6.2, 4.7), (10.1, 6.3)]),))
-    segments, (_, _, _, (lips, spans), _, _) = dissected(sub.paths, sub.tips)
+    split = embed(MESH, (Cut([(1.3, 5.1), (6.2, 4.7), (10.1, 6.3)]),))
+    segments, (_, _, _, (lips, spans), _, _) = dissected(split.paths, split.fronts.at)
     assert (np.diff(lips[:, 0]) >= 0).all()
     for s, length in enumerate(segments.rows[:, 4]):
         low, high = spans[lips[:, 0] == s].T

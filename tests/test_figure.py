@@ -48,7 +48,7 @@ def run():
     near, height = np.abs(points[:, 0]) < 5, points[:, 1]
     enrichment = enriched(np.flatnonzero(near & (height > 25)), np.flatnonzero(near & (np.abs(height - 20) < 5)))
     problem = SimpleNamespace(mesh=mesh, cuts=(cut(MOUTH, TIP),), enrichment=enrichment, resections=(),
-                              subcells=SimpleNamespace(tips=np.array([TIP])))
+                              parts=SimpleNamespace(fronts=SimpleNamespace(at=np.array([TIP]))))
     rest = points[cells]
     inward = rest + 1e-6 * (rest.mean(axis=1, keepdims=True) - rest)
     solution = SimpleNamespace(rest=rest, moved=rest + opened(inward.reshape(-1, 2)).reshape(rest.shape))
@@ -209,7 +209,7 @@ def test_overlap_is_drawn_and_a_run_without_cut_too(run, tmp_path):
     plane, mask, problem, solution, update = run
     twice = SimpleNamespace(**{**vars(update), "overlap": update.cavity})
     none = SimpleNamespace(mesh=problem.mesh, cuts=(), enrichment=enriched([], []), resections=(),
-                           subcells=SimpleNamespace(tips=np.empty((0, 2))))
+                           parts=SimpleNamespace(fronts=SimpleNamespace(at=np.empty((0, 2)))))
     plain = figure.draw_figure(tmp_path / "a.png", plane, mask, problem, solution, update).read_bytes()
     assert figure.draw_figure(tmp_path / "b.png", plane, mask, problem, solution, twice).read_bytes() != plain
     assert figure.draw_figure(tmp_path / "c.png", plane, mask, none, solution, update).stat().st_size > 10_000

@@ -33,11 +33,11 @@ def test_shares_are_those_of_the_area(half_plane):
     frame, labels = half_plane
     shares = label_shares(labels, frame, MESH.corners, [3, 5])
     line = 1.125  # between the last voxel at x = 1 and the first beyond
-    for share, corners, area in zip(shares[:, 0], MESH.corners, MESH.areas):
+    for share, corners, area in zip(shares[:, 0], MESH.corners, MESH.volumes):
         exact = shapely.Polygon(corners).intersection(shapely.box(line, -99, 99, 99)).area / area
         assert abs(share - exact) <= 0.15  # 36 parts; a side crosses at most 6 of them by halves
     assert_allclose(shares @ [1, 1] <= 1, True)
-    total = shares.T @ MESH.areas
+    total = shares.T @ MESH.volumes
     whole = shapely.Polygon(MESH.points[MESH.boundary_loops[0]])
     assert total[0] == pytest.approx(whole.intersection(shapely.box(line, -99, 99, 99)).area, rel=0.01)
 

@@ -64,14 +64,14 @@ def test_lip_quadrature_measures_the_held_length(cut, side):
         # Parts lie on the side asked for: a step of .01 mm along side * normal from the lip is still in the part or
         # beyond it, never on the other lip's side.
         for x, p, n in zip(q.points, q.parts, q.normals):
-            triangles = space.subcells.corners[space.subcells.part == p]
+            triangles = space.parts.corners[space.parts.part == p]
             assert ((triangles.reshape(-1, 2) - x) @ (side * n)).max() > 0
 
 
 def test_the_blade_stays_two_cells_short_of_the_tip():
     with pytest.warns(XfemnavWarning, match="W404"):
         span = held_span(SPACE, (CUT,), Retraction(0, 1, normal_mm=1.0, blade=(0.0, 0.95)))
-    tip_cell = SPACE.subcells.part_cell[SPACE.subcells.tip_touch[0, 1]]
+    tip_cell = SPACE.parts.cell[SPACE.parts.touch[0, 1]]
     assert_allclose(span, (0, CUT.length - 2 * MESH.sizes[tip_cell]), atol=1e-9)
 
 
@@ -131,11 +131,11 @@ def brute_force_crossings(mesh, path):
 def test_crossings_are_those_of_the_plane_without_the_tip_cell_s(cut):
     """Sect. 5: every intersection of the crack with the mesh; those of the element with the tip are left free."""
     space = space_of(MESH, cut)
-    points, arc = brute_force_crossings(MESH, space.subcells.paths[0])
+    points, arc = brute_force_crossings(MESH, space.parts.paths[0])
     all_points, all_arc, _ = crossings(space, 0, 1, hold_tip=True)
     assert_allclose(all_arc, arc, atol=1e-9)
     assert_allclose(all_points, points, atol=1e-9)
-    tip_cell = shapely.Polygon(MESH.corners[space.subcells.part_cell[space.subcells.tip_touch[0, 1]]])
+    tip_cell = shapely.Polygon(MESH.corners[space.parts.cell[space.parts.touch[0, 1]]])
     free = [tip_cell.distance(shapely.Point(x)) < 1e-9 for x in points]
     assert sum(free) == 1
     for side in (1, -1):
@@ -185,6 +185,6 @@ def test_a_force_is_spread_evenly():
     moment = (x[:, 0] * load[own, 1] - x[:, 1] * load[own, 0]).sum()
     assert_allclose(moment, middle[0] * force[1] - middle[1] * force[0], rtol=EXACT)
     # Nothing acts on the other lip's pieces.
-    other = np.unique(SPACE.enrichment.dof[SPACE.subcells.lip_parts[:, 1]])
-    left = np.unique(SPACE.enrichment.dof[SPACE.subcells.lip_parts[:, 0]])
+    other = np.unique(SPACE.enrichment.dof[SPACE.parts.lips.parts[:, 1]])
+    left = np.unique(SPACE.enrichment.dof[SPACE.parts.lips.parts[:, 0]])
     assert_allclose(load[np.setdiff1d(other, left)], 0)

@@ -34,7 +34,7 @@ def rigid(space):
 def test_the_weight_and_its_moment_are_those_of_the_body(space):
     gravity = Gravity((0.6, -0.8), density=1040.0)
     fx, fy, moment = rigid(space).T @ weight_load(space, gravity)
-    area, centre = MESH.areas.sum(), np.average(MESH.corners.mean(axis=1), axis=0, weights=MESH.areas)
+    area, centre = MESH.volumes.sum(), np.average(MESH.corners.mean(axis=1), axis=0, weights=MESH.volumes)
     weight = KPA_PER_MM * 1040 * area * np.array([0.6, -0.8])
     assert_allclose((fx, fy), weight, rtol=1e-12)
     assert_allclose(moment, centre[0] * weight[1] - centre[1] * weight[0], rtol=1e-10)
@@ -43,16 +43,16 @@ def test_the_weight_and_its_moment_are_those_of_the_body(space):
 def nested(*rings):
     """The space of a mesh without the tissue in some rings, and the resections."""
     taken = tuple(place_resection([ring], outline(MESH), "") for ring in rings)
-    subcells = embed(MESH, (), taken)
-    return Space(MESH, subcells, enrich(MESH, subcells)), taken
+    split = embed(MESH, (), taken)
+    return Space(MESH, split, enrich(MESH, split)), taken
 
 
 def test_tissue_that_is_taken_out_weighs_nothing():
     space, (hole,) = nested(box(3.3, 3.2, 7.1, 5.4))
     _, fy, _ = rigid(space).T @ weight_load(space, Gravity((0.0, -1.0)))
-    assert_allclose(fy, -KPA_PER_MM * 1000 * (MESH.areas.sum() - hole.area_mm2), rtol=1e-4)
+    assert_allclose(fy, -KPA_PER_MM * 1000 * (MESH.volumes.sum() - hole.area_mm2), rtol=1e-4)
     load = weight_load(space, Gravity((0.0, -1.0))).reshape(-1, 2)
-    gone = np.setdiff1d(space.enrichment.dof[space.subcells.removed], space.enrichment.dof[~space.subcells.removed])
+    gone = np.setdiff1d(space.enrichment.dof[space.parts.removed], space.enrichment.dof[~space.parts.removed])
     assert len(gone) and not load[gone].any()
 
 
@@ -72,19 +72,19 @@ def test_floating_tissue_weighs_the_difference():
     space = space_of(MESH)
     floating = Gravity((0, -1.0), 1040.0, 1007.0, fluid_level_mm=-100.0)  # all of it lies below y = 100
     total = rigid(space).T @ weight_load(space, floating)
-    assert_allclose(total[1], -KPA_PER_MM * 33 * MESH.areas.sum(), rtol=1e-9)
+    assert_allclose(total[1], -KPA_PER_MM * 33 * MESH.volumes.sum(), rtol=1e-9)
     drained = Gravity((0, -1.0), 1040.0, 1007.0, fluid_level_mm=100.0)
     assert_allclose(weight_load(space, drained), weight_load(space, Gravity((0, -1.0), 1040.0)))
 
 
 @pytest.mark.parametrize("space", SPACES)
 def test_a_pressure_all_around_balances_and_works_on_a_change_of_area(space):
-    sub, table = space.subcells, space.enrichment
-    load = pressure_load(space, sub.rim_ends, sub.rim_part, 2.0)
+    split, table = space.parts, space.enrichment
+    load = pressure_load(space, split.rim.facets, split.rim.parts, 2.0)
     assert_allclose(rigid(space).T @ load, 0, atol=1e-10)
     swelling = (MESH.points[table.node] * (table.kind < 2)[:, None]).ravel()  # u = x: div u = 2
     # The mouth of a cut is a gap of no width: the outline closes over it.
-    assert swelling @ load == pytest.approx(-2.0 * 2 * MESH.areas.sum(), rel=1e-10)
+    assert swelling @ load == pytest.approx(-2.0 * 2 * MESH.volumes.sum(), rel=1e-10)
 
 
 def test_a_column_shortens_under_its_own_weight():

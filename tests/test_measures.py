@@ -32,7 +32,7 @@ def strip(F, n=8, model="linear", young=None, moved_part=1.0):
     solution = SimpleNamespace(rest=rest, moved=moved, part=part, strain=strain, model=model,
                                det_F=np.linalg.det(np.eye(2) + H), rest_areas=orient(*rest.swapaxes(0, 1)) / 2)
     material = Material() if young is None else Tissue(np.where(moves, *young), np.full(len(rest), 0.45))
-    return SimpleNamespace(material=material, subcells=SimpleNamespace(part_cell=part)), solution
+    return SimpleNamespace(material=material, parts=SimpleNamespace(cell=part)), solution
 
 
 def turned(degrees):

@@ -28,7 +28,7 @@ def annulus(n=12):
 
 
 def test_areas_fill_the_square(mesh):
-    assert_allclose(mesh.areas.sum(), 1, atol=ROUNDING)
+    assert_allclose(mesh.volumes.sum(), 1, atol=ROUNDING)
 
 
 def test_gradients_reproduce_linear_fields(mesh):
@@ -62,7 +62,7 @@ def test_neighbours_are_mutual_and_share_the_edge(mesh):
 
 
 def test_each_edge_bounds_one_cell_or_two(mesh):
-    assert 3 * len(mesh.cells) == 2 * len(mesh.edges) - len(mesh.boundary_edges)
+    assert 3 * len(mesh.cells) == 2 * len(mesh.edges) - len(mesh.boundary_facets)
     assert len(mesh.points) - len(mesh.edges) + len(mesh.cells) == 1  # Euler number of a disc
 
 

@@ -22,7 +22,7 @@ from xfemnav.mechanics.solution import solve
 MESH = disc()
 CUT = cut_in(MESH, (3, 80), (1.7, 12.3))
 SPACE = space_of(MESH, CUT)
-MOUTH = SPACE.subcells.paths[0][:1]
+MOUTH = SPACE.parts.paths[0][:1]
 BOX = jittered(40.0, 30.0, 2.0, 0.25, seed=3)
 
 
@@ -55,14 +55,14 @@ def test_an_unknown_skull_is_refused():
 def test_without_a_mouth_the_whole_outline_is_held():
     space = space_of(MESH)
     constraints, springs = skull_conditions(space, Skull("fixed"), np.empty((0, 2)), BRAIN)
-    assert_allclose(held_nodes(space, constraints), np.unique(MESH.boundary_edges))
+    assert_allclose(held_nodes(space, constraints), np.unique(MESH.boundary_facets))
     assert not springs.nnz and (constraints.group == SKULL).all() and not constraints.d.any()
 
 
 @pytest.mark.parametrize("ramp", [0.0, 4.0])
 def test_the_skull_is_open_about_the_mouth(ramp):
     constraints, _ = skull_conditions(SPACE, Skull("fixed", 20.0, ramp), MOUTH, BRAIN)
-    rim = np.unique(MESH.boundary_edges)
+    rim = np.unique(MESH.boundary_facets)
     beyond = np.linalg.norm(MESH.points[rim] - MOUTH, axis=1) >= 20 + ramp
     assert_allclose(held_nodes(SPACE, constraints), rim[beyond])
 
@@ -91,12 +91,12 @@ def test_the_ramp_grows_from_the_craniotomy_on():
     _, springs = skull_conditions(SPACE, Skull("fixed", 20.0, 12.0), MOUTH, BRAIN)
     distance = np.linalg.norm(MESH.points - MOUTH, axis=1)
     stiff = springs.diagonal()[0 : 2 * len(MESH.points) : 2]
-    a, b = MESH.points[MESH.boundary_edges].swapaxes(0, 1)
+    a, b = MESH.points[MESH.boundary_facets].swapaxes(0, 1)
     h = np.linalg.norm(b - a, axis=1).max()
     assert_allclose(stiff[distance < 20 - h], 0, atol=1e-25)
-    inner = np.setdiff1d(np.arange(len(MESH.points)), np.unique(MESH.boundary_edges))
+    inner = np.setdiff1d(np.arange(len(MESH.points)), np.unique(MESH.boundary_facets))
     assert_allclose(stiff[inner], 0, atol=1e-25)  # their hat functions are 1e-16 on the outline, and squared
-    rim = np.unique(MESH.boundary_edges)
+    rim = np.unique(MESH.boundary_facets)
     ramp = rim[(distance[rim] > 20) & (distance[rim] < 32)]
     assert (stiff[ramp] > 0).all()
     assert (np.diff(stiff[ramp][np.argsort(distance[ramp])][::2]) > 0).all()  # every second: left and right alternate
@@ -115,7 +115,7 @@ def test_sliding_lets_a_disc_turn_but_not_shift():
     assert np.abs(constraints.C @ turned).max() < 0.05 * 70
     shifted = plain_field(space, lambda x: np.ones_like(x)).ravel()
     assert np.abs(constraints.C @ shifted).max() > 1
-    assert len(constraints.d) == len(np.unique(MESH.boundary_edges))
+    assert len(constraints.d) == len(np.unique(MESH.boundary_facets))
 
 
 def test_sliding_normals_point_outwards_and_have_length_one():
@@ -146,7 +146,7 @@ def test_a_measured_linear_field_is_met_at_every_node():
     U = plain_field(space, lambda x: x @ G.T).ravel()
     assert_allclose(constraints.C @ U, constraints.d, atol=1e-12)
     assert not springs.nnz
-    assert_allclose(held_nodes(space, constraints), np.unique(MESH.boundary_edges))
+    assert_allclose(held_nodes(space, constraints), np.unique(MESH.boundary_facets))
 
 
 def test_measured_values_are_interpolated_along_the_outline():
@@ -193,9 +193,9 @@ def test_beside_a_mouth_each_lip_has_its_own_value():
     measured = np.vstack([measured_on(loop, u, np.zeros(len(loop))), at_mouth])
     constraints, _ = skull_conditions(SPACE, Skull("fixed"), MOUTH, BRAIN, measured)
     # A point a hair inside each lip at the mouth: its value by the conditions alone.
-    sub = SPACE.subcells
+    split = SPACE.parts
     for side, column, value in ((1, 0, (1.4, 0.7)), (-1, 1, (-2.6, 0.3))):
-        part = sub.lip_parts[np.argmin(sub.lip_arc[:, 0]), column]
+        part = split.lips.parts[np.argmin(split.lips.arc[:, 0]), column]
         row = SPACE.basis_in(MOUTH, [part]).toarray()[0]
         C = constraints.C.toarray()[0::2, 0::2]
         weights, *_ = np.linalg.lstsq(C.T, row, rcond=None)
@@ -382,7 +382,7 @@ def test_a_light_weight_damps_noise_and_keeps_rigid_motion():
         [solve(pose(BOX, (), BRAIN, Skull(), boundary_displacement=m, boundary_weight=w)) for m in (jitter, clean)]
         for w in (None, 0.3)
     )
-    rough = [np.sqrt(np.mean((a.U - b.U)[np.unique(BOX.boundary_edges)] ** 2)) for a, b in (hard, soft)]
+    rough = [np.sqrt(np.mean((a.U - b.U)[np.unique(BOX.boundary_facets)] ** 2)) for a, b in (hard, soft)]
     assert rough[1] < 0.5 * rough[0]
     assert soft[0].energy < 0.3 * hard[0].energy
     loop = outline(BOX)

@@ -190,9 +190,9 @@ def test_energy_error_falls_with_the_root_of_the_element():
         cut = place_cut(cut_path(), mesh.points[mesh.boundary_loops[0]])
         material = Material(3.0, POISSON)
         problem = pose(mesh, (cut,), material, Skull(), boundary_displacement=boundary_displacement(phantom))
-        sub, U = problem.subcells, solve(problem).U.ravel()
-        points, weights, owner = tip_rule(sub.corners, sub.tips)
-        parts = sub.part[owner]
+        split, U = problem.parts, solve(problem).U.ravel()
+        points, weights, owner = tip_rule(split.corners, split.fronts.at)
+        parts = split.part[owner]
         strain = np.stack([e @ U for e in strain_matrices(problem.space, points, parts)], axis=1)
         left = np.sign((points - TIP) @ np.array([-TRAVEL[1], TRAVEL[0]]))
         exact = np.linalg.solve(material.stiffness, material.shear_modulus * OPEN.stress(points, left).T).T

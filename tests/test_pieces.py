@@ -49,7 +49,7 @@ def test_the_outline_goes_on_across_a_notch():
     cut = cut_in(MESH, (-1, 5), (6, 5))
     solution = solve(pose(MESH, (cut,), BRAIN, SKULL, resections=taken(circle(0, 0, 3))))
     x, y = solution.outline.T
-    assert_allclose(((x * np.roll(y, -1) - y * np.roll(x, -1)) / 2).sum(), MESH.areas.sum(), rtol=1e-12)
+    assert_allclose(((x * np.roll(y, -1) - y * np.roll(x, -1)) / 2).sum(), MESH.volumes.sum(), rtol=1e-12)
 
 
 def test_a_cut_through_a_resection_opens_what_is_left_of_it():

@@ -75,7 +75,7 @@ def test_a_loose_crumb_is_removed_with_a_warning():
     with pytest.warns(XfemnavWarning, match="W311"):
         problem = pose(mesh, (cut,), BRAIN, FREE,
                        boundary_displacement=np.column_stack([below, np.zeros_like(below)]))
-    area = np.bincount(problem.subcells.part, problem.subcells.areas)
+    area = np.bincount(problem.parts.part, problem.parts.volumes)
     assert_allclose(area[problem.removed].sum(), 0.45**2 / 2, rtol=1e-9)
     solution = solve(problem)
     assert_allclose(solution.rest_areas.sum(), 100 - 0.45**2 / 2, rtol=1e-9)
@@ -208,7 +208,7 @@ def test_rigid_opening_of_a_domain_cut_right_through(name, mesh):
 
 
 def _left_body(problem):
-    lip = problem.subcells.lip_parts[0, 0]
+    lip = problem.parts.lips.parts[0, 0]
     return problem.enrichment.body[lip]
 
 

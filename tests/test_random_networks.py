@@ -50,28 +50,28 @@ def place(seed):
 
 def check_parts(mesh, cuts, resections):
     """Laws of the parts: areas add up cell by cell, what is taken out is the drawn region, what is left is closed."""
-    sub = embed(mesh, cuts, resections)
-    assert (sub.areas > 0).all()
-    assert_allclose(np.bincount(sub.part_cell[sub.part], sub.areas, len(mesh.cells)), mesh.areas, rtol=AREA)
-    gone = sub.areas[sub.removed[sub.part]].sum()
+    split = embed(mesh, cuts, resections)
+    assert (split.volumes > 0).all()
+    assert_allclose(np.bincount(split.cell[split.part], split.volumes, len(mesh.cells)), mesh.volumes, rtol=AREA)
+    gone = split.volumes[split.removed[split.part]].sum()
     drawn = shapely.union_all([resection.region for resection in resections])
     # Snapping moves a boundary by up to 2e-3 h; closing narrow gaps and corners moves it as far again.
     assert abs(gone - drawn.area) <= 4 * SNAP * mesh.sizes.max() * (drawn.length + mesh.sizes.max())
     # Outline and walls, tissue on their left, go once around what is left: their moments are its area.
-    (x, y), (u, v) = (ends.T for ends in np.concatenate([sub.rim_ends, sub.wall_ends]).swapaxes(0, 1))
-    assert_allclose((x * v - y * u).sum() / 2, mesh.areas.sum() - gone, atol=1e-4 * mesh.sizes.max() ** 2)
-    left = [sub.lip_parts.ravel(), sub.rim_part, sub.wall_part, sub.tip_touch[:, 1]]
-    assert not sub.removed[np.concatenate(left)].any()
-    assert (sub.removed[sub.joins[:, 0]] == sub.removed[sub.joins[:, 1]]).all()
-    return sub
+    (x, y), (u, v) = (ends.T for ends in np.concatenate([split.rim.facets, split.walls.facets]).swapaxes(0, 1))
+    assert_allclose((x * v - y * u).sum() / 2, mesh.volumes.sum() - gone, atol=1e-4 * mesh.sizes.max() ** 2)
+    left = [split.lips.parts.ravel(), split.rim.parts, split.walls.parts, split.touch[:, 1]]
+    assert not split.removed[np.concatenate(left)].any()
+    assert (split.removed[split.joins[:, 0]] == split.removed[split.joins[:, 1]]).all()
+    return split
 
 
 def check_continuity(space, rng):
     """Any field of the space has one value where two parts are joined: it jumps on cuts and walls alone."""
-    sub = space.subcells
+    split = space.parts
     U = rng.normal(size=(space.enrichment.n_rows, 2))
-    p, q = sub.joins[:, :2].T
-    jump = (space.basis_in(sub.join_middle, p) - space.basis_in(sub.join_middle, q)) @ U
+    p, q = split.joins.T
+    jump = (space.basis_in(split.middles, p) - space.basis_in(split.middles, q)) @ U
     # Contacts are found to 1e-9 h; shape functions change by 1 over h, branch functions faster near their tip.
     assert np.abs(jump).max(initial=0.0) < 1e-4
 

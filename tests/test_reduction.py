@@ -18,8 +18,8 @@ def space(tip_enrichment, offset=None):
     """A 20 x 16 mm rectangle, cut to its middle; with an `offset` the mesh is a grid and the cut near its line."""
     mesh = jittered() if offset is None else jittered(jitter=0.0)
     height = 8.31 if offset is None else 8.0 + offset
-    subcells = embed(mesh, (cut_in(mesh, (-1.0, height), (9.4, height)),))
-    return Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, 4.0))
+    split = embed(mesh, (cut_in(mesh, (-1.0, height), (9.4, height)),))
+    return Space(mesh, split, enrich(mesh, split, tip_enrichment, 4.0))
 
 
 def solved_basis(at, tip_enrichment):

@@ -32,7 +32,7 @@ def assert_sound(p, cells, across, rail):
     assert_allclose(shapely.distance(shapely.LinearRing(rail.points[:-1]), shapely.points(p[:n])), 0, atol=1e-12)
     assert_allclose(rail_nodes(rail._replace(places=rail.places % rail.ticks[-1])), p[:n], atol=1e-12)
     assert np.array_equal(np.sort(mesh.boundary_loops[0]), np.arange(n))
-    assert_allclose(mesh.areas.sum(), shapely.Polygon(p[:n]).area, rtol=1e-12)
+    assert_allclose(mesh.volumes.sum(), shapely.Polygon(p[:n]).area, rtol=1e-12)
 
 
 def test_flips_restore_delaunays_triangles(disc):
@@ -40,7 +40,7 @@ def test_flips_restore_delaunays_triangles(disc):
     truss(p, cells, across, h, rail, 15)
     n = len(rail.places)
     p[n:] += np.random.default_rng(7).uniform(-0.15, 0.15, p[n:].shape)
-    assert Mesh(p, cells).areas.min() > 0  # still a mesh, no more Delaunay's
+    assert Mesh(p, cells).volumes.min() > 0  # still a mesh, no more Delaunay's
     wanted = {frozenset(cell) for cell in Delaunay(p).simplices.tolist()}
     assert wanted != {frozenset(cell) for cell in cells.tolist()}
     flip(p, cells, across)

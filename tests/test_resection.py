@@ -51,22 +51,22 @@ def test_what_is_drawn_is_taken_out_and_the_rest_is_closed(name, mesh):
     placed = place_resection(rings, outline(mesh), "tumour")
     if mesh is MESH:
         assert len(placed.paths) >= n_paths
-    sub = embed(mesh, (), (placed,))
-    area = np.bincount(sub.part, sub.areas)
-    gone = area[sub.removed].sum()
-    assert_allclose(area.sum(), mesh.areas.sum(), rtol=1e-12)
+    split = embed(mesh, (), (placed,))
+    area = np.bincount(split.part, split.volumes)
+    gone = area[split.removed].sum()
+    assert_allclose(area.sum(), mesh.volumes.sum(), rtol=1e-12)
     # Snapping moves the boundary by up to 2e-3 h.
     length = sum(shapely.LineString(path).length for path in placed.paths)
     assert abs(gone - placed.area_mm2) < 2 * SNAP * mesh.sizes.max() * length
-    assert_allclose(np.linalg.norm(np.diff(sub.wall_ends, axis=1), axis=2).sum(), length, rtol=1e-2)
+    assert_allclose(np.linalg.norm(np.diff(split.walls.facets, axis=1), axis=2).sum(), length, rtol=1e-2)
     # Green: outline and walls, tissue on their left, enclose what is left.
-    (x, y), (u, v) = (ends.T for ends in np.concatenate([sub.rim_ends, sub.wall_ends]).swapaxes(0, 1))
-    assert_allclose((x * v - y * u).sum() / 2, mesh.areas.sum() - gone, rtol=1e-5)
-    assert not sub.removed[sub.rim_part].any() and not sub.removed[sub.wall_part].any()
-    assert (sub.wall_resection == 0).all()
-    centres = sub.corners.mean(axis=1)
+    (x, y), (u, v) = (ends.T for ends in np.concatenate([split.rim.facets, split.walls.facets]).swapaxes(0, 1))
+    assert_allclose((x * v - y * u).sum() / 2, mesh.volumes.sum() - gone, rtol=1e-5)
+    assert not split.removed[split.rim.parts].any() and not split.removed[split.walls.parts].any()
+    assert (split.walls.source == 0).all()
+    centres = split.corners.mean(axis=1)
     deep = shapely.distance(placed.region.boundary, shapely.points(centres)) > 1e-2
-    assert (placed.contains(centres) == sub.removed[sub.part])[deep].all()
+    assert (placed.contains(centres) == split.removed[split.part])[deep].all()
 
 
 def test_even_and_odd():
@@ -108,10 +108,10 @@ def test_a_cut_that_ends_in_a_resection_has_no_tip_and_lips_only_where_tissue_is
     on_it = placed.rings[0][np.argmin(placed.rings[0][:, 0])]
     for tip, length in (((6, 5), 4.0), (on_it, 4.0), ((11, 5), 7.0), ((3.5, 5), 3.5)):
         cut = cut_in(MESH, (-1.0, 5.0), tip)
-        sub = embed(MESH, (cut,), (placed,))
-        assert_allclose(np.diff(sub.lip_arc).sum(), length, atol=0.02)  # the cut is not quite a diameter
-        assert len(sub.tips) == (tip[0] in (11, 3.5))
-        assert not sub.removed[sub.lip_parts].any()
+        split = embed(MESH, (cut,), (placed,))
+        assert_allclose(np.diff(split.lips.arc).sum(), length, atol=0.02)  # the cut is not quite a diameter
+        assert len(split.fronts.at) == (tip[0] in (11, 3.5))
+        assert not split.removed[split.lips.parts].any()
 
 
 def test_a_cut_along_a_wall_has_no_lips_and_the_wall_is_whole():
@@ -119,29 +119,29 @@ def test_a_cut_along_a_wall_has_no_lips_and_the_wall_is_whole():
     whole = embed(MESH, (), (placed,))
     for start, end in (((3.3, 3.3), (6.4, 3.3)), ((4.0, 3.3), (5.0, 3.3 + 1e-7))):
         cut = cut_in(MESH, start, end, internal=True)
-        sub = embed(MESH, (cut,), (placed,))
-        assert not len(sub.lip_cut) and not len(sub.tips)
-        for s in (whole, sub):
-            assert_allclose(np.linalg.norm(np.diff(s.wall_ends, axis=1), axis=2).sum(), 2 * (3.1 + 2.2), rtol=1e-5)
+        split = embed(MESH, (cut,), (placed,))
+        assert not len(split.lips.cut) and not len(split.fronts.at)
+        for s in (whole, split):
+            assert_allclose(np.linalg.norm(np.diff(s.walls.facets, axis=1), axis=2).sum(), 2 * (3.1 + 2.2), rtol=1e-5)
 
 
 def test_two_resections_side_by_side_leave_no_wall_between_them():
     left, right = (place_resection([box(a, 3.2, b, 5.4)], outline(MESH), "") for a, b in ((3.3, 5.1), (5.1, 7.3)))
-    sub = embed(MESH, (), (left, right))
-    lengths = np.linalg.norm(np.diff(sub.wall_ends, axis=1), axis=2).ravel()
+    split = embed(MESH, (), (left, right))
+    lengths = np.linalg.norm(np.diff(split.walls.facets, axis=1), axis=2).ravel()
     assert_allclose(lengths.sum(), 2 * (4.0 + 2.2), rtol=1e-4)
     # A facet that passes from one to the other belongs to one of them.
-    assert_allclose(np.bincount(sub.wall_resection, lengths), [2 * 1.8 + 2.2, 2 * 2.2 + 2.2], atol=1.0)
-    assert_allclose(sub.areas[sub.removed[sub.part]].sum(), 4.0 * 2.2, rtol=1e-4)
+    assert_allclose(np.bincount(split.walls.source, lengths), [2 * 1.8 + 2.2, 2 * 2.2 + 2.2], atol=1.0)
+    assert_allclose(split.volumes[split.removed[split.part]].sum(), 4.0 * 2.2, rtol=1e-4)
 
 
 def test_a_body_taken_out_leaves_walls_where_its_lips_were():
     cut = cut_in(MESH, (-1.0, 5.1), (13.0, 4.9))
-    sub = embed(MESH, (cut,))
-    body = enrich(MESH, sub).body
-    upper = body == body[np.argmax(sub.corners[:, 0, 1][np.argsort(sub.part)])]
-    left = take_out(sub, upper)
-    assert not len(left.lip_cut) and (left.wall_resection == -1).all()
-    (x, y), (u, v) = (ends.T for ends in np.concatenate([left.rim_ends, left.wall_ends]).swapaxes(0, 1))
-    kept = sub.areas[~upper[sub.part]].sum()
+    split = embed(MESH, (cut,))
+    body = enrich(MESH, split).body
+    upper = body == body[np.argmax(split.corners[:, 0, 1][np.argsort(split.part)])]
+    left = take_out(split, upper)
+    assert not len(left.lips.cut) and (left.walls.source == -1).all()
+    (x, y), (u, v) = (ends.T for ends in np.concatenate([left.rim.facets, left.walls.facets]).swapaxes(0, 1))
+    kept = split.volumes[~upper[split.part]].sum()
     assert_allclose((x * v - y * u).sum() / 2, kept, rtol=1e-5)

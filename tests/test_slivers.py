@@ -50,7 +50,7 @@ def test_a_strip_over_an_internal_cut_is_told_by_its_elements(depth, thin):
     if thin:
         (text,) = found
         assert f"{depth:.1f} mm from it" in text and "the outline" in text
-        size = float(re.search(r"corridor-element-mm ([\d.]+)", text)[1])
+        size = float(re.search(r"corridor_element_mm=([\d.]+)", text)[1])
         assert depth / STRIP_ELEMENTS.value - 0.1 <= size <= depth / STRIP_ELEMENTS.value
 
 

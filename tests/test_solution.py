@@ -34,7 +34,7 @@ def both(blade=(0.0, 0.5), move=PAPER):
 def eq_4(space, U, points, nodes_of, side):
     """Eq. (4) as printed, at points of the cut on one lip: H = side, theta = side * pi."""
     paper, mesh = space.paper_coefficients(U), space.mesh
-    r = np.linalg.norm(points - space.subcells.tips[0], axis=1)
+    r = np.linalg.norm(points - space.parts.fronts.at[0], axis=1)
     theta = np.full(len(points), side * np.pi)
     s = np.sqrt(r)
     F = np.stack([s * np.sin(theta / 2), s * np.cos(theta / 2),
@@ -52,17 +52,17 @@ def test_pointwise_lips_by_eq_4(hold_tip):
     """Every crossing on either lip has its displacement to 1e-10 mm; the tip cell's are free unless it is held."""
     problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, both(None), lip_constraint="pointwise", hold_tip=hold_tip)
     solution, space = solve(problem), problem.space
-    tip_cell = space.subcells.part_cell[space.subcells.tip_touch[0, 1]]
+    tip_cell = space.parts.cell[space.parts.touch[0, 1]]
     for side, given in zip((1, -1), PAPER):
         points, _, parts = crossings(space, 0, side, hold_tip=True)
-        cells = space.subcells.part_cell[parts]
+        cells = space.parts.cell[parts]
         free = shapely.distance(shapely.Polygon(MESH.corners[tip_cell]), shapely.points(points)) < 1e-9
         assert len(points) > 10 and free.sum() == 1
         off = np.linalg.norm(eq_4(space, solution.U, points, cells, side) - given, axis=1)
         assert off[~free].max() <= 1e-10
         assert (off[free].max() <= 1e-10) == hold_tip
     # Ahead of the tip, where a plane cut would go on, there is no jump.
-    tip, travel = space.subcells.tips[0], space.subcells.tip_travel[0]
+    tip, travel = space.parts.fronts.at[0], space.parts.fronts.travel[0]
     ahead = tip + np.linspace(0.1, 20, 40)[:, None] * travel
     across = 1e-14 * np.array([-travel[1], travel[0]])
     jump = (space.basis_at(ahead + across) - space.basis_at(ahead - across)) @ solution.U
@@ -150,7 +150,7 @@ def test_retractors_and_skull_are_in_balance(lips):
     solution = solve(problem)
     nodal = (stiffness(problem.space, BRAIN) @ solution.U.ravel()).reshape(-1, 2)
     far = np.linalg.norm(MESH.points - CUT.path[0], axis=1) >= 15
-    held = np.intersect1d(np.unique(MESH.boundary_edges), np.flatnonzero(far))
+    held = np.intersect1d(np.unique(MESH.boundary_facets), np.flatnonzero(far))
     lips_force = np.sum([r.force_mN_per_mm for r in solution.retractor], axis=0)
     size = np.abs([r.force_mN_per_mm for r in solution.retractor]).max()
     # The part of a facet beyond the hard switch is held by a penalty, which carries its share of the skull's force.
@@ -201,7 +201,7 @@ def test_the_triangles_are_the_map():
     problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, both())
     solution = solve(problem)
     assert (solution.rest_areas > 0).all()
-    assert_allclose(solution.rest_areas.sum(), MESH.areas.sum(), rtol=1e-12)
+    assert_allclose(solution.rest_areas.sum(), MESH.volumes.sum(), rtol=1e-12)
     u = problem.space.basis_in(solution.rest.reshape(-1, 2), np.repeat(solution.part, 3)) @ solution.U
     assert_allclose(solution.moved.reshape(-1, 2), solution.rest.reshape(-1, 2) + u, atol=1e-12)
     e, f = solution.moved[:, 1] - solution.moved[:, 0], solution.moved[:, 2] - solution.moved[:, 0]
@@ -248,8 +248,8 @@ def test_a_residual_above_the_limit_is_an_error(monkeypatch):
 def energy_norm_error(problem, solution, field):
     """sqrt of the integral of (e - e_h) : D : (e - e_h), and that of the exact field."""
     space, D = problem.space, problem.material.stiffness
-    points, weights, owner = tip_rule(space.subcells.corners, space.subcells.tips)
-    parts = space.subcells.part[owner]
+    points, weights, owner = tip_rule(space.parts.corners, space.parts.fronts.at)
+    parts = space.parts.part[owner]
     # On which side of the crack's line each part lies: the field's own branch, also for parts on the line itself.
     G = field.gradient(points, np.sign(points[:, 1] - field.tip[1]))
     exact = np.stack([G[:, 0, 0], G[:, 1, 1], G[:, 0, 1] + G[:, 1, 0]])

@@ -27,9 +27,9 @@ def place(name, seed, tip_enrichment="topological") -> Space:
 
 def random_points(space, rng, n=2):
     """n random points in each triangle (k, 2), and their parts."""
-    weights = rng.dirichlet(np.ones(3), (len(space.subcells.corners), n))
-    points = np.einsum("tna,tai->tni", weights, space.subcells.corners)
-    return points.reshape(-1, 2), np.repeat(space.subcells.part, n)
+    weights = rng.dirichlet(np.ones(3), (len(space.parts.corners), n))
+    points = np.einsum("tna,tai->tni", weights, space.parts.corners)
+    return points.reshape(-1, 2), np.repeat(space.parts.part, n)
 
 
 @settings(derandomize=True, max_examples=40, deadline=None)
@@ -62,10 +62,10 @@ def test_derivatives_equal_finite_differences(name):
     space = place(name, 3)
     rng = np.random.default_rng(0)
     # Well inside triangles, so that a step stays in the part, and off the tip.
-    middle = space.subcells.corners.mean(axis=1)
-    size = np.sqrt(space.subcells.areas)
+    middle = space.parts.corners.mean(axis=1)
+    size = np.sqrt(space.parts.volumes)
     far = size > 0.05
-    points, parts = middle[far], space.subcells.part[far]
+    points, parts = middle[far], space.parts.part[far]
     U = rng.normal(size=(space.enrichment.n_rows, 2))
     step = 1e-5
     for axis, derivative in enumerate(space.gradient_in(points, parts)):
@@ -80,27 +80,29 @@ def test_derivatives_equal_finite_differences(name):
 def test_the_field_is_continuous_across_every_contact(name, seed):
     """Where two parts touch off the cut, they give one value: no leak of a jump beyond the cut, for any U."""
     space = place(name, seed)
-    sub, rng = space.subcells, np.random.default_rng(seed)
+    split, rng = space.parts, np.random.default_rng(seed)
     U = rng.normal(size=(space.enrichment.n_rows, 2))
-    inner = sub.joins[sub.joins[:, 2] >= 0]
-    a, b = MESH.points[inner[:, 2]], MESH.points[inner[:, 3]]
-    network = shapely.union_all([shapely.linestrings(path) for path in sub.paths])
+    across = (split.through < 0).any(axis=1)
+    inner = split.joins[across]
+    edge = MESH.cells[split.cell[inner[:, 0]]][split.through[across] >= 0].reshape(-1, 2)
+    a, b = MESH.points[edge].swapaxes(0, 1)
+    network = shapely.union_all([shapely.linestrings(path) for path in split.paths])
     for fraction in (0.1, 0.37, 0.71, 0.93):
         points = a + fraction * (b - a)
         # The contact is the overlap of both parts' facets, where the edge itself is not cut.
         near = shapely.distance(network, shapely.points(points)) > 1e-6
-        near &= _touches(sub, points, inner[:, 0]) & _touches(sub, points, inner[:, 1])
+        near &= _touches(split, points, inner[:, 0]) & _touches(split, points, inner[:, 1])
         one, other = (space.basis_in(points[near], inner[near, k]) @ U for k in (0, 1))
         assert_allclose(one, other, atol=100 * EXACT)  # random coefficients of size 3, up to 15 functions
 
 
-def _touches(sub, points, parts):
+def _touches(split, points, parts):
     """Whether each point (k, 2) lies in the closed part named beside it."""
     inside = np.zeros(len(points), dtype=bool)
-    order = np.argsort(sub.part, kind="stable")
-    start = np.searchsorted(sub.part[order], np.arange(sub.n_parts + 1))
+    order = np.argsort(split.part, kind="stable")
+    start = np.searchsorted(split.part[order], np.arange(split.n_parts + 1))
     for n, (x, p) in enumerate(zip(points, parts)):
-        t = sub.corners[order[start[p] : start[p + 1]]]
+        t = split.corners[order[start[p] : start[p + 1]]]
         edge, to = np.roll(t, -1, axis=1) - t, x - t
         inside[n] = ((edge[..., 0] * to[..., 1] - edge[..., 1] * to[..., 0]) > -1e-12).all(axis=1).any()
     return inside
@@ -108,27 +110,27 @@ def _touches(sub, points, parts):
 
 def test_no_jump_ahead_of_the_tip_and_a_full_one_behind():
     space = place("generic", 1)
-    sub = space.subcells
+    split = space.parts
     U = np.random.default_rng(2).normal(size=(space.enrichment.n_rows, 2))
-    tip, travel = sub.tips[0], sub.tip_travel[0]
+    tip, travel = split.fronts.at[0], split.fronts.travel[0]
     left = np.array([-travel[1], travel[0]])
     ahead = tip + np.linspace(0.05, 2.0, 60)[:, None] * travel
     near = 1e-13 * left  # on both sides of the cut's continuation: the same point but for rounding
     both = [space.basis_at(ahead + side * near) @ U for side in (1, -1)]
     assert_allclose(both[0], both[1], atol=1e-12)  # the field's gradient (size 10) times 2e-13
-    ends = sub.lip_ends.mean(axis=1)
-    jump = (space.basis_in(ends, sub.lip_parts[:, 0]) - space.basis_in(ends, sub.lip_parts[:, 1])) @ U
+    ends = split.lips.facets.mean(axis=1)
+    jump = (space.basis_in(ends, split.lips.parts[:, 0]) - space.basis_in(ends, split.lips.parts[:, 1])) @ U
     assert (np.linalg.norm(jump, axis=1) > 1e-3).all()
 
 
 def test_the_jump_closes_as_the_square_root_at_the_tip():
     """Behind the tip, inside its cell, the jump is 2 sqrt(r) times F_1's coefficient: it vanishes at the tip."""
     space = place("generic", 1)
-    sub, table = space.subcells, space.enrichment
+    split, table = space.parts, space.enrichment
     U = np.zeros((table.n_rows, 2))
     U[table.kind == BRANCH] = (0.5, -2.0)  # all K nodes alike: sum of N_i F_1 = F_1 in the tip's cell
-    r = np.array([1e-6, 1e-4, 1e-2]) * np.linalg.norm(sub.lip_ends[-1, 1] - sub.lip_ends[-1, 0])
-    points = sub.tips[0] - r[:, None] * sub.tip_travel[0]
+    r = np.array([1e-6, 1e-4, 1e-2]) * np.linalg.norm(split.lips.facets[-1, 1] - split.lips.facets[-1, 0])
+    points = split.fronts.at[0] - r[:, None] * split.fronts.travel[0]
     jump = (space.basis_at(points, +1) - space.basis_at(points, -1)) @ U
     assert_allclose(jump, 2 * np.sqrt(r)[:, None] * (0.5, -2.0), rtol=1e-6)  # r is rounded at 1e-15 / 1e-6 and summed
 
@@ -136,10 +138,10 @@ def test_the_jump_closes_as_the_square_root_at_the_tip():
 def test_standard_coefficients_are_the_nodal_displacements():
     """Shifted branch functions vanish at their node, whatever their coefficients."""
     space = place("generic", 4)
-    table, sub = space.enrichment, space.subcells
+    table, split = space.enrichment, space.parts
     U = np.random.default_rng(2).normal(size=(table.n_rows, 2))
     on_cut = np.zeros(len(MESH.points), dtype=bool)
-    on_cut[np.unique(MESH.cells[sub.part_cell[sub.lip_parts.ravel()]])] = True
+    on_cut[np.unique(MESH.cells[split.cell[split.lips.parts.ravel()]])] = True
     assert on_cut.any()
     assert_allclose(space.basis_at(MESH.points) @ U, U[: len(MESH.points)], atol=100 * EXACT)
 
@@ -150,7 +152,7 @@ def test_eq_4_as_the_paper_writes_it(seed):
     space = place("generic", seed)
     U = np.random.default_rng(seed).normal(size=(space.enrichment.n_rows, 2))
     points, parts = random_points(space, np.random.default_rng(seed))
-    path = space.subcells.paths[0]
+    path = space.parts.paths[0]
     assert len(path) == 2
     direction = (path[1] - path[0]) / np.linalg.norm(path[1] - path[0])
     across = direction[0] * (points - path[1])[:, 1] - direction[1] * (points - path[1])[:, 0]
@@ -163,7 +165,7 @@ def test_eq_4_as_the_paper_writes_it(seed):
     F = np.stack([s * np.sin(theta / 2), s * np.cos(theta / 2),
                   s * np.sin(theta / 2) * np.sin(theta), s * np.cos(theta / 2) * np.sin(theta)], axis=1)
     paper = space.paper_coefficients(U)
-    cell = space.subcells.part_cell[parts]
+    cell = space.parts.cell[parts]
     nodes = MESH.cells[cell]
     phi = np.einsum("kai,ki->ka", MESH.gradients[cell], points - MESH.points[nodes[:, 0]])
     phi[:, 0] += 1
@@ -185,14 +187,14 @@ def test_two_pieces_more_have_no_eq_4():
 @pytest.mark.parametrize("name", ["generic", "along_edges", "through_two_nodes", "kinks_in_a_cell"])
 def test_a_point_on_the_cut_is_taken_on_the_side_asked_for(name):
     space = place(name, 2)
-    sub = space.subcells
+    split = space.parts
     U = np.random.default_rng(3).normal(size=(space.enrichment.n_rows, 2))
-    long = np.linalg.norm(sub.lip_ends[:, 1] - sub.lip_ends[:, 0], axis=1) > 0.05
+    long = np.linalg.norm(split.lips.facets[:, 1] - split.lips.facets[:, 0], axis=1) > 0.05
     for fraction in (0.25, 0.6):
-        points = (sub.lip_ends[:, 0] + fraction * (sub.lip_ends[:, 1] - sub.lip_ends[:, 0]))[long]
+        points = (split.lips.facets[:, 0] + fraction * (split.lips.facets[:, 1] - split.lips.facets[:, 0]))[long]
         for side, column in ((1, 0), (-1, 1)):
             asked = space.basis_at(points, side) @ U
-            assert_allclose(asked, space.basis_in(points, sub.lip_parts[long, column]) @ U, atol=100 * EXACT)
+            assert_allclose(asked, space.basis_in(points, split.lips.parts[long, column]) @ U, atol=100 * EXACT)
 
 
 def test_a_point_anywhere_is_found_in_its_part():
@@ -225,8 +227,8 @@ def test_no_function_jumps_but_on_the_cut(name, tip_enrichment):
     tip's jump has no cut to lie on."""
     mesh = jittered()
     cut = cut_in(mesh, *CUTS_INSIDE[name], internal="inside" in name)
-    subcells = embed(mesh, (cut,))
-    space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, 4.0))
-    p, q = subcells.joins[:, :2].T
-    jump = space.basis_in(subcells.join_middle, p) - space.basis_in(subcells.join_middle, q)
+    split = embed(mesh, (cut,))
+    space = Space(mesh, split, enrich(mesh, split, tip_enrichment, 4.0))
+    p, q = split.joins.T
+    jump = space.basis_in(split.middles, p) - space.basis_in(split.middles, q)
     assert abs(jump).max() < 1e-9

@@ -33,59 +33,58 @@ def place(position):
     return mesh, placed, embed(mesh, placed)
 
 
-def part_polygons(subcells):
+def part_polygons(split):
     """Outline of each part: the union of its triangles."""
-    triangles = shapely.polygons(subcells.corners)
-    return [shapely.union_all(triangles[subcells.part == p], grid_size=0) for p in range(subcells.n_parts)]
+    triangles = shapely.polygons(split.corners)
+    return [shapely.union_all(triangles[split.part == p], grid_size=0) for p in range(split.n_parts)]
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(positions)
 def test_parts_fill_their_cells_without_overlap(position):
-    mesh, _, sub = place(position)
-    assert (sub.areas > 0).all()
-    cell = sub.part_cell[sub.part]
-    assert_allclose(np.bincount(cell, sub.areas, len(mesh.cells)), mesh.areas, rtol=AREA)
+    mesh, _, split = place(position)
+    assert (split.volumes > 0).all()
+    cell = split.cell[split.part]
+    assert_allclose(np.bincount(cell, split.volumes, len(mesh.cells)), mesh.volumes, rtol=AREA)
     # Areas add up and every triangle lies in its cell: so they cannot overlap either.
     a, b, c = mesh.corners[cell].swapaxes(0, 1)
-    inside = [orient(p[:, None], q[:, None], sub.corners) for p, q in ((a, b), (b, c), (c, a))]
+    inside = [orient(p[:, None], q[:, None], split.corners) for p, q in ((a, b), (b, c), (c, a))]
     assert np.min(inside) > -AREA * 100
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(positions)
 def test_joins_are_pairs_once_and_between_neighbours(position):
-    mesh, _, sub = place(position)
-    p, q, i, k = sub.joins.T
+    mesh, _, split = place(position)
+    p, q = split.joins.T
     assert (p != q).all()
     # A contact is one unordered pair: both directions would be the same row.
-    assert len(np.unique(np.sort(sub.joins[:, :2], axis=1), axis=0)) == len(sub.joins)
-    cp, cq = sub.part_cell[p], sub.part_cell[q]
-    across = i >= 0
-    assert_allclose(cp[~across], cq[~across])
-    for node in (i, k):
-        assert (mesh.cells[cp[across]] == node[across, None]).any(axis=1).all()
-        assert (mesh.cells[cq[across]] == node[across, None]).any(axis=1).all()
+    assert len(np.unique(np.sort(split.joins, axis=1), axis=0)) == len(split.joins)
+    cp, cq = split.cell[p], split.cell[q]
+    through = (split.through >= 0).sum(axis=1)
+    assert (through[cp == cq] == 3).all() and (through[cp != cq] == 2).all()
+    j, local = np.nonzero(split.through >= 0)
+    assert (mesh.cells[cp[j], local] == mesh.cells[cq[j], split.through[j, local]]).all()
 
 
 @settings(derandomize=True, max_examples=40, deadline=None)
 @given(position=positions, mirror=st.booleans(), start=st.integers(0, 2))
 def test_joins_do_not_depend_on_the_numbering(position, mirror, start):
     """Renumbered cells, turned corners: the same parts touch (named by their centroids)."""
-    mesh, placed, sub = place(position)
+    mesh, placed, split = place(position)
     order = np.random.default_rng(start).permutation(len(mesh.cells))
     turned = np.roll(mesh.cells[order], start, axis=1)
     other = embed(type(mesh)(mesh.points, turned), placed)
-    assert len(other.joins) == len(sub.joins) and other.n_parts == sub.n_parts
-    assert len(other.lip_cut) == len(sub.lip_cut) and len(other.tips) == len(sub.tips)
+    assert len(other.joins) == len(split.joins) and other.n_parts == split.n_parts
+    assert len(other.lips.cut) == len(split.lips.cut) and len(other.fronts.at) == len(split.fronts.at)
 
     def contacts(s):
-        area = np.bincount(s.part, s.areas)
-        x = [np.bincount(s.part, s.areas * s.corners.mean(axis=1)[:, k]) / area for k in (0, 1)]
+        area = np.bincount(s.part, s.volumes)
+        x = [np.bincount(s.part, s.volumes * s.corners.mean(axis=1)[:, k]) / area for k in (0, 1)]
         name = np.round(x[0] + 1.7e-3 * x[1], 7)
-        return np.sort(np.sort(name[s.joins[:, :2]], axis=1), axis=0)
+        return np.sort(np.sort(name[s.joins], axis=1), axis=0)
 
-    assert_allclose(contacts(other), contacts(sub), atol=1e-6)
+    assert_allclose(contacts(other), contacts(split), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["generic", "tip_on_an_edge", "tip_on_a_node", "kinks_in_a_cell", "crossing",
@@ -93,9 +92,9 @@ def test_joins_do_not_depend_on_the_numbering(position, mirror, start):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_joins_equal_those_of_the_plane(name, seed):
     """Brute force: two parts are joined where their polygons share more than a point of boundary off the cut."""
-    _, _, sub = place((name, "jitter 0.25", seed))
-    polygons = part_polygons(sub)
-    network = shapely.union_all([shapely.linestrings(path) for path in sub.paths]).buffer(1e-7)
+    _, _, split = place((name, "jitter 0.25", seed))
+    polygons = part_polygons(split)
+    network = shapely.union_all([shapely.linestrings(path) for path in split.paths]).buffer(1e-7)
     tree = shapely.STRtree(polygons)
     found = set()
     for p, q in tree.query(polygons, predicate="dwithin", distance=1e-9).T:
@@ -104,26 +103,26 @@ def test_joins_equal_those_of_the_plane(name, seed):
             shared = polygons[p].exterior.intersection(polygons[q].exterior.buffer(1e-7)).difference(network)
             if shared.length > 1e-4:
                 found.add((int(p), int(q)))
-    assert found == {tuple(sorted(pair)) for pair in sub.joins[:, :2].tolist()}
+    assert found == {tuple(sorted(pair)) for pair in split.joins.tolist()}
 
 
 @settings(derandomize=True, max_examples=80, deadline=None)
 @given(positions)
 def test_lips_cover_the_cuts_and_lie_between_their_two_sides(position):
-    _, placed, sub = place(position)
-    triangle = {p: sub.corners[sub.part == p] for p in np.unique(sub.lip_parts)}
+    _, placed, split = place(position)
+    triangle = {p: split.corners[split.part == p] for p in np.unique(split.lips.parts)}
     for k in range(len(placed)):
-        own = np.flatnonzero(sub.lip_cut == k)
-        order = own[np.argsort(sub.lip_arc[own, 0])]
-        length = np.linalg.norm(np.diff(sub.paths[k], axis=0), axis=1).sum()
-        low, high = sub.lip_arc[order].T
+        own = np.flatnonzero(split.lips.cut == k)
+        order = own[np.argsort(split.lips.arc[own, 0])]
+        length = np.linalg.norm(np.diff(split.paths[k], axis=0), axis=1).sum()
+        low, high = split.lips.arc[order].T
         if position[0] == "grazing":  # what was snapped onto the outline has tissue on one side: no lips
             assert (high > low).all()
             continue
         # Pieces shorter than 1e-6 h are left out; there are fewer than 100.
         assert_allclose([low[0], high[-1], (high - low).sum()], [0, length, length], atol=1e-4)
         assert_allclose(low[1:], high[:-1], atol=1e-5)
-    for (a, b), (left, right) in zip(sub.lip_ends, sub.lip_parts):
+    for (a, b), (left, right) in zip(split.lips.facets, split.lips.parts):
         for part, side in ((left, 1), (right, -1)):
             # The lip is on the part's boundary and the part's nearest triangle on its own side.
             middle = (a + b) / 2
@@ -136,9 +135,9 @@ def test_lips_cover_the_cuts_and_lie_between_their_two_sides(position):
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(positions)
 def test_snapping_moves_a_cut_by_a_thousandth_of_an_element(position):
-    mesh, placed, sub = place(position)
+    mesh, placed, split = place(position)
     reach = SNAP * mesh.sizes.max() * 1.5  # a path may be bent through a node after its vertex was moved
-    for cut, path in zip(placed, sub.paths):
+    for cut, path in zip(placed, split.paths):
         old, new = shapely.LineString(cut.path), shapely.LineString(path)
         assert shapely.hausdorff_distance(old, new) <= 2 * reach
         assert np.linalg.norm(cut.path[[0, -1]] - path[[0, -1]], axis=1).max() <= reach
@@ -147,39 +146,39 @@ def test_snapping_moves_a_cut_by_a_thousandth_of_an_element(position):
 @settings(derandomize=True, max_examples=40, deadline=None)
 @given(positions)
 def test_the_rim_is_the_outline(position):
-    mesh, _, sub = place(position)
-    a, b = mesh.points[mesh.boundary_edges].swapaxes(0, 1)
-    length = np.linalg.norm(sub.rim_ends[:, 1] - sub.rim_ends[:, 0], axis=1)
+    mesh, _, split = place(position)
+    a, b = mesh.points[mesh.boundary_facets].swapaxes(0, 1)
+    length = np.linalg.norm(split.rim.facets[:, 1] - split.rim.facets[:, 0], axis=1)
     assert_allclose(length.sum(), np.linalg.norm(b - a, axis=1).sum(), rtol=AREA)
     # Tissue on the left: the rim turns once around, so the enclosed area is the organ's.
-    x, y = sub.rim_ends.swapaxes(0, 1)
-    assert_allclose((x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / 2, mesh.areas.sum(), rtol=AREA)
+    x, y = split.rim.facets.swapaxes(0, 1)
+    assert_allclose((x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]).sum() / 2, mesh.volumes.sum(), rtol=AREA)
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)
 @given(positions)
 def test_tips_are_ends_inside_the_organ_and_off_other_cuts(position):
-    mesh, _, sub = place(position)
+    mesh, _, split = place(position)
     organ = shapely.Polygon(mesh.points[mesh.boundary_loops[0]])
     expected = 0
-    for k, path in enumerate(sub.paths):
-        others = [shapely.LineString(p) for j, p in enumerate(sub.paths) if j != k]
+    for k, path in enumerate(split.paths):
+        others = [shapely.LineString(p) for j, p in enumerate(split.paths) if j != k]
         for end in (0, -1):
             x = shapely.Point(path[end])
             # Closer than the smallest contact (1e-5 h) is on it.
             expected += organ.exterior.distance(x) > 2e-5 and all(x.distance(line) > 2e-5 for line in others)
-    assert len(sub.tips) == expected
-    assert_allclose(np.linalg.norm(sub.tip_travel, axis=1), 1)
-    for t, (k, end) in enumerate(zip(sub.tip_cut, sub.tip_end)):
-        assert_allclose(sub.tips[t], sub.paths[k][end])
-        assert (sub.tip_touch[:, 0] == t).any()
+    assert len(split.fronts.at) == expected
+    assert_allclose(np.linalg.norm(split.fronts.travel, axis=1), 1)
+    for t, (k, end) in enumerate(zip(split.fronts.cut, split.fronts.end)):
+        assert_allclose(split.fronts.at[t], split.paths[k][end])
+        assert (split.touch[:, 0] == t).any()
     # Around an inner point the parts that it touches fill a full turn.
-    for t in range(len(sub.tips)):
-        touched = np.isin(sub.part, sub.tip_touch[sub.tip_touch[:, 0] == t, 1])
-        corners = sub.corners[touched]
+    for t in range(len(split.fronts.at)):
+        touched = np.isin(split.part, split.touch[split.touch[:, 0] == t, 1])
+        corners = split.corners[touched]
         total = 0.0
         for triangle in corners:
-            gap = np.linalg.norm(triangle - sub.tips[t], axis=1)
+            gap = np.linalg.norm(triangle - split.fronts.at[t], axis=1)
             if gap.min() < 1e-6:
                 a, b = np.delete(triangle, np.argmin(gap), axis=0) - triangle[np.argmin(gap)]
                 total += np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1))
@@ -188,21 +187,21 @@ def test_tips_are_ends_inside_the_organ_and_off_other_cuts(position):
 
 def test_without_cuts_every_cell_is_a_part():
     mesh = MESHES["jitter 0.25"]
-    sub = embed(mesh, ())
-    assert sub.n_parts == len(sub.corners) == len(mesh.cells)
-    assert len(sub.joins) == (mesh.neighbours >= 0).sum() // 2
-    assert not len(sub.lip_cut) and not len(sub.tips)
-    assert len(sub.rim_ends) == len(mesh.boundary_edges)
+    split = embed(mesh, ())
+    assert split.n_parts == len(split.corners) == len(mesh.cells)
+    assert len(split.joins) == (mesh.neighbours >= 0).sum() // 2
+    assert not len(split.lips.cut) and not len(split.fronts.at)
+    assert len(split.rim.facets) == len(mesh.boundary_facets)
 
 
 def test_a_cut_along_edges_splits_no_cell():
     """On edges the lips are the cells themselves: as many parts as cells, and the contacts gone."""
     mesh = grid(10, 10.0)
-    sub = embed(mesh, (Cut([(0.0, 4.0), (5.0, 4.0)]),))
-    assert sub.n_parts == len(mesh.cells)
-    assert len(sub.joins) == (mesh.neighbours >= 0).sum() // 2 - 5
-    assert len(sub.lip_cut) == 5 and sub.lip_on_edge.all()
-    y = mesh.corners[:, :, 1].mean(axis=1)[sub.part_cell[sub.lip_parts]]
+    split = embed(mesh, (Cut([(0.0, 4.0), (5.0, 4.0)]),))
+    assert split.n_parts == len(mesh.cells)
+    assert len(split.joins) == (mesh.neighbours >= 0).sum() // 2 - 5
+    assert len(split.lips.cut) == 5 and split.lips.on_face.all()
+    y = mesh.corners[:, :, 1].mean(axis=1)[split.cell[split.lips.parts]]
     assert (y[:, 0] > 4).all() and (y[:, 1] < 4).all()
 
 
@@ -210,14 +209,14 @@ def test_a_cut_along_edges_splits_no_cell():
 def test_a_cut_beside_a_row_of_nodes_severs_what_it_should(offset):
     """Right through a grid at 1e-1 .. 1e-14 h from a row of nodes: always two bodies, never three, never one."""
     mesh = grid(10, 10.0)
-    sub = embed(mesh, (Cut([(0.0, 4.0 + offset), (10.0, 4.0 + offset)]),))
+    split = embed(mesh, (Cut([(0.0, 4.0 + offset), (10.0, 4.0 + offset)]),))
 
 
 
-    p, q = sub.joins[:, :2].T
-    n, body = connected_components(coo_array((np.ones(len(p)), (p, q)), (sub.n_parts, sub.n_parts)), directed=False)
+    p, q = split.joins.T
+    n, body = connected_components(coo_array((np.ones(len(p)), (p, q)), (split.n_parts, split.n_parts)), directed=False)
     assert n == 2
-    area = np.bincount(body[sub.part], sub.areas)
+    area = np.bincount(body[split.part], split.volumes)
     assert_allclose(np.sort(area), [40 + 10 * offset, 60 - 10 * offset], atol=2 * SNAP * 10)
 
 
@@ -226,6 +225,6 @@ def test_a_tip_goes_on_as_it_was_drawn():
     mesh = grid()
     node = np.array([4.0, 4.0])
     tip = node + np.array([2.5e-3, 0.6e-3])
-    subcells = embed(mesh, (cut_in(mesh, (-1.0, tip[1]), tip),))
-    assert (subcells.paths[0][-2] == node).all()
-    np.testing.assert_allclose(subcells.tip_travel, [[1.0, 0.0]], atol=1e-12)
+    split = embed(mesh, (cut_in(mesh, (-1.0, tip[1]), tip),))
+    assert (split.paths[0][-2] == node).all()
+    np.testing.assert_allclose(split.fronts.travel, [[1.0, 0.0]], atol=1e-12)

@@ -36,7 +36,7 @@ def bent(mesh, rng, _):
 
 def through_nodes(mesh, rng, _):
     """The line through two inner nodes that lie well apart."""
-    inner = np.setdiff1d(np.arange(len(mesh.points)), mesh.boundary_edges)
+    inner = np.setdiff1d(np.arange(len(mesh.points)), mesh.boundary_facets)
     a, b = mesh.points[rng.choice(inner, 2, replace=False)]
     while np.linalg.norm(b - a) < 20:
         b = mesh.points[rng.choice(inner)]
@@ -46,7 +46,7 @@ def through_nodes(mesh, rng, _):
 
 def along_edges(mesh, rng, used):
     """A walk along inner edges that no other cut has used, between two nodes of the outline."""
-    rim = np.unique(mesh.boundary_edges)
+    rim = np.unique(mesh.boundary_facets)
     near = {}
     for a, b in mesh.edges.tolist():
         if not (a in rim and b in rim) and (a, b) not in used:
@@ -96,7 +96,7 @@ def network(course, n, seed):
 def pieces(space):
     """What shapely makes of the outline and the cuts: the polygons between them."""
     lines = [shapely.LinearRing(outline(space.mesh))]
-    for path in space.subcells.paths:
+    for path in space.parts.paths:
         # A mouth lies on the outline to rounding only: both ends go on for 1e-9 mm, and dangle.
         back = path[[0, -1]] - path[[1, -2]]
         on = path[[0, -1]] + 1e-9 * back / np.linalg.norm(back, axis=1)[:, None]
@@ -133,25 +133,25 @@ IN_LINE += [(through_nodes, 4, 52), (through_nodes, 4, 58), (through_nodes, 5, 1
 @pytest.mark.parametrize("course, n, seed", ANY + IN_LINE, ids=lambda x: getattr(x, "__name__", x))
 def test_pieces_areas_and_jumps(course, n, seed):
     space = network(course, n, seed)
-    sub, body = space.subcells, space.enrichment.body
+    split, body = space.parts, space.enrichment.body
     wanted = pieces(space)
     assert body.max() + 1 == len(wanted)
-    area = np.bincount(body[sub.part], sub.areas)
+    area = np.bincount(body[split.part], split.volumes)
     # Areas of the plane's polygons: sums of some hundred products, each good to 1e-16.
     assert_allclose(np.sort(area), np.sort([p.area for p in wanted]), rtol=1e-12)
 
     motion = motions(len(wanted))
     U = coefficients(space, motion)
     d = np.abs(U).max()
-    middle, part = sub.corners.mean(axis=1), sub.part
+    middle, part = split.corners.mean(axis=1), split.part
     near = partial(assert_allclose, rtol=0, atol=1e-12 * d)
     near(space.basis_in(middle, part) @ U, moved(middle, body[part], motion))
     H = np.stack([g @ U for g in space.gradient_in(middle, part)], axis=-1)
     strain = np.stack([H[:, 0, 0], H[:, 1, 1], H[:, 0, 1] + H[:, 1, 0]], axis=1)
-    energy = np.einsum("c,cs,st,ct->", sub.areas, strain, BRAIN.stiffness, strain) / 2
+    energy = np.einsum("c,cs,st,ct->", split.volumes, strain, BRAIN.stiffness, strain) / 2
     assert energy <= 1e-13 * BRAIN.young_kpa * d**2
 
-    at, (left, right) = sub.lip_ends.mean(axis=1), sub.lip_parts.T
+    at, (left, right) = split.lips.facets.mean(axis=1), split.lips.parts.T
     assert (body[left] != body[right]).any()
     jump = (space.basis_in(at, left) - space.basis_in(at, right)) @ U
     near(jump, moved(at, body[left], motion) - moved(at, body[right], motion))

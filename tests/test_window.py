@@ -39,9 +39,10 @@ def test_a_cut_is_the_same_in_its_window():
     cut = cut_in(MESH, *PATHS["straight"])
     part = window(MESH, cut.path)
     whole, own = embed(MESH, (cut,)), embed(part.mesh, (cut,))
-    for name in ("lip_arc", "lip_ends", "lip_on_edge", "tips", "tip_travel"):
-        assert_array_equal(getattr(whole, name), getattr(own, name))
-    assert_array_equal(whole.part_cell[whole.lip_parts], part.cells[own.part_cell[own.lip_parts]])
+    for table, names in (("lips", ("at", "facets", "on_face")), ("fronts", ("at", "travel"))):
+        for name in names:
+            assert_array_equal(getattr(getattr(whole, table), name), getattr(getattr(own, table), name))
+    assert_array_equal(whole.cell[whole.lips.parts], part.cells[own.cell[own.lips.parts]])
     assert_allclose(part.mesh.points, MESH.points[part.nodes])
-    crossed = np.unique(part.mesh.cells[own.part_cell[own.lip_parts]])
+    crossed = np.unique(part.mesh.cells[own.cell[own.lips.parts]])
     assert not part.border[crossed].any()

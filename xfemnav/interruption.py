@@ -30,7 +30,6 @@ def note_signals() -> None:
     A signal that is ignored stays ignored, as under nohup; and a thread, which can have no handlers, is not ended.
     """
     global _working
-    _waiting.clear()
     _working = threading.current_thread() is threading.main_thread()
     for signum in ENDING if _working else ():
         if signal.getsignal(signum) is not signal.SIG_IGN:

@@ -79,7 +79,7 @@ def inclined(n: int, enrichment: str, angle_deg: float = 30.0) -> Outcome:
     problem = plate_problem(space, (cut,), STEEL, [exact], np.zeros(space.enrichment.n_dof), enrichment)
     solution = solve(problem)
     reference = fields.inclined_crack_factors(1.0, beta, 1.0)
-    tip = int(np.argmax(space.subcells.tips @ along))
+    tip = int(np.argmax(space.parts.fronts.at @ along))
     K = stress_intensity(space, STEEL, solution.U, tip, DISC)
     # Relative to sigma sqrt(pi a): K_II vanishes at 0.
     unit = np.sqrt(np.pi)
@@ -163,7 +163,7 @@ def arc(n: int, enrichment: str) -> Outcome:
     problem = plate_problem(space, (cut,), STEEL, *_pulled(space, w), enrichment)
     solution = solve(problem)
     reference = fields.arc_crack_factors(radius, half_angle, 1.0)
-    tip = int(np.argmax(space.subcells.tips[:, 0]))
+    tip = int(np.argmax(space.parts.fronts.at[:, 0]))
     K_I, K_II = stress_intensity(space, STEEL, solution.U, tip, 1.0)
     return Outcome(
         problem, solution, (relative("K_I", K_I, reference[0]), relative("abs K_II", abs(K_II), reference[1]))
@@ -183,7 +183,7 @@ def branched(n: int, enrichment: str) -> Outcome:
     problem = plate_problem(space, cuts, STEEL, *_pulled(space, w), enrichment)
     solution = solve(problem)
     unit = np.sqrt(np.pi * (1 + np.cos(np.pi / 4)) / 2)
-    tips = space.subcells.tips
+    tips = space.parts.fronts.at
     stem, branch = (int(np.argmin(np.linalg.norm(tips - x, axis=1))) for x in ((-1.0, 0.0), arm))
     K = [stress_intensity(space, STEEL, solution.U, tip, 0.6) for tip in (stem, branch)]
     return Outcome(

@@ -50,12 +50,12 @@ def pressed(n: int, enrichment: str, angle_deg: float = 30.0) -> Outcome:
     exact = given_on_rim(
         space, rim(space, lambda x: np.ones(len(x), dtype=bool)), lambda x, _: closed_crack(x, STEEL, 1.0, beta, 1.0)
     )
-    none = np.zeros(space.subcells.n_parts, dtype=bool)
+    none = np.zeros(space.parts.n_parts, dtype=bool)
     contacts = lip_contacts(space, (), np.empty((0, 2)), none)
     load = np.zeros(space.enrichment.n_dof)
     problem = plate_problem(space, (cut,), STEEL, [exact], load, enrichment, contacts)
     solution = solve(problem)
-    tip = int(np.argmax(space.subcells.tips @ along))
+    tip = int(np.argmax(space.parts.fronts.at @ along))
 
     def pressure(arc):
         return lip_pressure(contacts, solution.contact_force, 0, arc)

@@ -79,9 +79,9 @@ def cg_iterations(A, b, rtol: float = 1e-8, limit: int = 20_000) -> int:
 
 def energy_error(problem: Problem, U, exact_strain) -> float:
     """Energy norm of the error over that of the exact field; exact_strain(points) -> (q, 3) xx, yy, 2 xy."""
-    sub, D = problem.subcells, problem.material.stiffness
-    points, weights, owner = tip_rule(sub.corners, sub.tips)
-    strain = np.stack([e @ U.ravel() for e in strain_matrices(problem.space, points, sub.part[owner])], axis=1)
+    split, D = problem.parts, problem.material.stiffness
+    points, weights, owner = tip_rule(split.corners, split.fronts.at)
+    strain = np.stack([e @ U.ravel() for e in strain_matrices(problem.space, points, split.part[owner])], axis=1)
     exact = exact_strain(points)
     norms = [np.einsum("q,qs,st,qt->", weights, e, D, e) for e in (strain - exact, exact)]
     return float(np.sqrt(norms[0] / norms[1]))

@@ -19,8 +19,8 @@ from xfemnav.mechanics.space import Space
 
 def cut_space(mesh: Mesh, cuts: tuple[Cut, ...], tip_enrichment: str, tip_radius_mm: float | None = None) -> Space:
     """The finite element space of a mesh with cuts."""
-    subcells = embed(mesh, cuts)
-    return Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
+    split = embed(mesh, cuts)
+    return Space(mesh, split, enrich(mesh, split, tip_enrichment, tip_radius_mm))
 
 
 def plate_problem(
@@ -44,7 +44,7 @@ def plate_problem(
         constraints=stack(conditions, n_dof),
         springs=csr_array((n_dof, n_dof)),
         load=load,
-        removed=np.zeros(space.subcells.n_parts, dtype=bool),
+        removed=np.zeros(space.parts.n_parts, dtype=bool),
         tip_enrichment=tip_enrichment,
         lip_constraint="mortar",
         hold_tip=False,
@@ -54,17 +54,17 @@ def plate_problem(
 
 def rim(space: Space, where: Callable) -> np.ndarray:
     """Facets (k,) of the outline whose middle (b, 2) satisfies `where`."""
-    return np.flatnonzero(where(space.subcells.rim_ends.mean(axis=1)))
+    return np.flatnonzero(where(space.parts.rim.facets.mean(axis=1)))
 
 
 def traction_load(space: Space, facets, traction) -> np.ndarray:
     """Nodal forces (n_dof,) of a constant traction (2,) kPa on facets of the outline."""
     t, w = np.polynomial.legendre.leggauss(4)
-    ends = space.subcells.rim_ends[facets]
+    ends = space.parts.rim.facets[facets]
     along = ends[:, 1] - ends[:, 0]
     points = ends[:, None, 0] + (t[:, None] + 1) / 2 * along[:, None]
     weights = np.outer(np.linalg.norm(along, axis=1), w / 2)
-    B = space.basis_in(points.reshape(-1, 2), np.repeat(space.subcells.rim_part[facets], len(t)))
+    B = space.basis_in(points.reshape(-1, 2), np.repeat(space.parts.rim.parts[facets], len(t)))
     return np.outer(B.T @ weights.ravel(), traction).ravel()
 
 
@@ -73,9 +73,9 @@ def given_on_rim(space: Space, facets, displacement: Callable) -> Constraints:
 
     `inside` are the middles of the facets: at a mouth they tell on which side of the cut the point lies.
     """
-    ends = space.subcells.rim_ends[facets]
+    ends = space.parts.rim.facets[facets]
     points, middles = ends.reshape(-1, 2), np.repeat(ends.mean(axis=1), 2, axis=0)
-    B = space.basis_in(points, np.repeat(space.subcells.rim_part[facets], 2))
+    B = space.basis_in(points, np.repeat(space.parts.rim.parts[facets], 2))
     B.data[np.abs(B.data) < 1e-12] = 0
     B.eliminate_zeros()
     return vector_rows(B, displacement(points, middles), SKULL)

@@ -136,7 +136,7 @@ def compare(problem: Problem, solution: Solution, field: Field, removed=()) -> C
     node_size = np.zeros(len(mesh.points))
     np.maximum.at(node_size, mesh.cells, mesh.sizes[:, None])
     size = np.concatenate([mesh.sizes, node_size])
-    weights = np.concatenate([mesh.areas, np.zeros(len(mesh.points))])
+    weights = np.concatenate([mesh.volumes, np.zeros(len(mesh.points))])
     removed = shapely.Polygon(removed)
     lines = shapely.union_all([removed.boundary, *(shapely.LineString(cut.path) for cut in problem.cuts)])
     from_cut = lines.distance(shapely.points(points))

@@ -139,7 +139,7 @@ def vtu(data: bytes) -> bool:
     """Whether `data` are read as the solution of a run or as a user's mesh, in the slice of the run."""
     path, frame = _written("mine.vtu", data), _result().frame
     mesh, soup = refused_or(read_mesh, path, frame), refused_or(read_soup, path, frame)
-    assert mesh is None or (np.isfinite(mesh.points).all() and (mesh.areas > 0).all())
+    assert mesh is None or (np.isfinite(mesh.points).all() and (mesh.volumes > 0).all())
     assert soup is None or soup[0].shape == soup[1].shape
     return mesh is not None or soup is not None
 

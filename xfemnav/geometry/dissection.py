@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from xfemnav.geometry.facets import Parts, joins, lips, rim, touched
+from xfemnav.geometry.facets import Polygons, joins, lips, rim, touched
 from xfemnav.geometry.fans import fan
 from xfemnav.geometry.partition import split_cells
 
@@ -27,20 +27,20 @@ def dissect(corners, cells, neighbours, sizes, segments, tips):
             part.append(cell[k])
     for c in range(len(cells)):
         begin[c + 1] += begin[c]
-    parts = Parts(polygons, cell, part, begin)
+    parts = Polygons(polygons, cell, part, begin)
     owner, triangles = [], []
     for k in range(len(polygons)):
         for triangle in fan(polygons[k], tips, sizes[cell[k]]):
             owner.append((part[k],))
             triangles.append(triangle)
-    pairs, ends = joins(corners, cells, neighbours, sizes, parts)
+    pairs, ends = joins(corners, neighbours, sizes, parts)
     between, spans = lips(corners, sizes, parts, segments)
     touch = touched(corners, sizes, parts, tips)
     behind, outline = rim(corners, neighbours, parts)
     return (
         np.array(cell),
         (_table(owner, np.empty((len(owner), 1), np.int64)), _table(triangles, np.empty((len(owner), 6)))),
-        (_table(pairs, np.empty((len(pairs), 4), np.int64)), _table(ends, np.empty((len(pairs), 4)))),
+        (_table(pairs, np.empty((len(pairs), 2), np.int64)), _table(ends, np.empty((len(pairs), 4)))),
         (_table(between, np.empty((len(spans), 5), np.int64)), _table(spans, np.empty((len(spans), 2)))),
         (_table(behind, np.empty((len(behind), 1), np.int64)), _table(outline, np.empty((len(behind), 4)))),
         _table(touch, np.empty((len(touch), 2), np.int64)),

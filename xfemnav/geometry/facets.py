@@ -14,7 +14,7 @@ from xfemnav.geometry.partition import HERE, touches
 from xfemnav.geometry.snapping import SEVER, SNAP
 
 
-class Parts(NamedTuple):
+class Polygons(NamedTuple):
     """Parts of the cells that cuts touch: convex polygons, lists of edges (x, y, tag, by) as in `partition`.
 
     Polygon k lies in cell[k] and is part[k]; those of cell c are numbers begin[c] to begin[c + 1], none when the cell
@@ -28,24 +28,22 @@ class Parts(NamedTuple):
 
 
 @njit
-def joins(corners, cells, neighbours, sizes, parts):
-    """Contacts (p, q, i, k) of two parts, with the two nodes let through ((-1, -1) inside a cell: all).
+def joins(corners, neighbours, sizes, parts):
+    """Pairs of parts that are joined, and the ends (x, y, x', y') mm of their contacts, the first part on their left.
 
-    And their ends (x, y, x', y') mm, the first part on their left. Those between whole cells come first, then those on
-    the edges of other cells, then those inside cells.
+    Those between whole cells come first, then those on the edges of other cells, then those inside cells.
     """
     pairs, ends = [], []
     for others in (False, True):
-        for c in range(len(cells)):
+        for c in range(len(corners)):
             for e in range(3):
                 d = neighbours[c, e]
                 if d <= c or (_split(parts, c) or _split(parts, d)) != others:
                     continue
                 a, b = (e + 1) % 3, (e + 2) % 3
-                i, k = cells[c, a], cells[c, b]
                 x, y, x1, y1 = corners[c, a, 0], corners[c, a, 1], corners[c, b, 0], corners[c, b, 1]
                 if not others:
-                    pairs.append((c, d, i, k))
+                    pairs.append((c, d))
                     ends.append((x, y, x1, y1))
                     continue
                 f = 0
@@ -55,13 +53,13 @@ def joins(corners, cells, neighbours, sizes, parts):
                 line = x, y, (x1 - x) / length, (y1 - y) / length
                 one, other = _on_edge(parts, c, e, line, length), _on_edge(parts, d, f, line, length)
                 for p, q, low, high in _overlaps(one, other, SEVER * sizes[c]):
-                    pairs.append((p, q, i, k))
+                    pairs.append((p, q))
                     ends.append(_at(line, low) + _at(line, high))
-    for c in range(len(cells)):
+    for c in range(len(corners)):
         for tag in _tags(parts, c):
             left, right, line = _on_line(parts, c, tag)
             for p, q, low, high in _overlaps(left, right, SEVER * sizes[c]):
-                pairs.append((p, q, -1, -1))
+                pairs.append((p, q))
                 ends.append(_at(line, low) + _at(line, high))
     return pairs, ends
 

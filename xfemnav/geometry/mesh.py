@@ -1,7 +1,9 @@
-"""Triangle mesh: points, cells, and what follows from them."""
+"""Mesh of simplices, triangles in the plane and tetrahedra in space: points, cells, and what follows from them."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
+from math import factorial, sqrt
 
 import numpy as np
 
@@ -25,63 +27,68 @@ def orient(a, b, c) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in plane coordinates: `points` (n, 2) mm, `cells` (m, 3) indices, positively oriented."""
+    """Simplices: `points` (n, d) mm, `cells` (m, d + 1) indices, positively oriented."""
 
     points: np.ndarray
     cells: np.ndarray
 
     def __post_init__(self):
-        object.__setattr__(self, "points", frozen_array(self.points, float, (None, 2), "points"))
-        object.__setattr__(self, "cells", frozen_array(self.cells, np.int64, (None, 3), "cells"))
+        d = np.shape(self.points)[-1]
+        object.__setattr__(self, "points", frozen_array(self.points, float, (None, d), "points"))
+        object.__setattr__(self, "cells", frozen_array(self.cells, np.int64, (None, d + 1), "cells"))
         if len(self.cells) and (self.cells.min() < 0 or self.cells.max() >= len(self.points)):
             raise ValueError("cells name points that do not exist")
-        if (self.areas <= 0).any():
-            raise ValueError(
-                f"cell {int(np.argmin(self.areas))} is flat or turned over (area {self.areas.min():.3g} mm2)"
-            )
+        if (self.volumes <= 0).any():
+            raise ValueError(f"cell {int(np.argmin(self.volumes))} is flat or turned over (volume "
+                             f"{self.volumes.min():.3g} mm{d})")
+
+    @property
+    def dim(self) -> int:
+        """Dimension d."""
+        return self.points.shape[1]
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """Corner positions (m, 3, 2) mm."""
+        """Corner positions (m, d + 1, d) mm."""
         return self.points[self.cells]
 
     @cached_property
-    def areas(self) -> np.ndarray:
-        """Cell areas (m,) mm^2."""
-        a, b, c = self.points[self.cells].swapaxes(0, 1)
-        return orient(a, b, c) / 2
+    def volumes(self) -> np.ndarray:
+        """Cell volumes (m,) mm^d: areas in the plane."""
+        return volumes(self.corners)
 
     @cached_property
     def gradients(self) -> np.ndarray:
-        """Gradients (m, 3, 2) 1/mm of the three nodal shape functions on each cell (Eq. 1)."""
-        x = self.corners
-        opposite = x[:, [2, 0, 1]] - x[:, [1, 2, 0]]
-        return np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1) / (2 * self.areas)[:, None, None]
+        """Gradients (m, d + 1, d) 1/mm of the nodal shape functions on each cell (Eq. 1)."""
+        rest = np.linalg.inv(self.corners[:, 1:] - self.corners[:, :1]).swapaxes(1, 2)
+        return np.concatenate([-rest.sum(axis=1, keepdims=True), rest], axis=1)
 
     @cached_property
     def quality(self) -> np.ndarray:
-        """Quality q = 2 r_in / r_out of each cell (m,): 1 equilateral, 0 flat (Persson & Strang 2004)."""
-        x = self.corners
-        a, b, c = (np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in ((1, 2), (2, 0), (0, 1)))
-        return (b + c - a) * (c + a - b) * (a + b - c) / (a * b * c)
+        """Quality q = d r_in / r_out of each cell (m,): 1 regular, 0 flat (Persson & Strang 2004)."""
+        squares = ((self.corners[:, 1:] - self.corners[:, :1]) ** 2).sum(axis=2)
+        outer = np.linalg.norm(np.einsum("ma,mai->mi", squares, self.gradients[:, 1:]), axis=1) / 2
+        return self.dim / (outer * np.linalg.norm(self.gradients, axis=2).sum(axis=1))
 
     @cached_property
     def edges(self) -> np.ndarray:
         """Unique edges (e, 2), smaller node first."""
-        one, other = self.cells.ravel(), self.cells[:, [1, 2, 0]].ravel()
-        key = np.unique(np.minimum(one, other) * len(self.points) + np.maximum(one, other))
-        return np.stack(np.divmod(key, len(self.points)), axis=1)
+        pairs = np.sort(self.cells[:, list(combinations(range(self.dim + 1), 2))].reshape(-1, 2), axis=1)
+        return np.stack(np.divmod(np.unique(pairs @ [len(self.points), 1]), len(self.points)), axis=1)
 
     @cached_property
     def neighbours(self) -> np.ndarray:
-        """Cell across the edge opposite each local node (m, 3); -1 on the boundary."""
-        one, other = self.cells[:, [1, 2, 0]].ravel(), self.cells[:, [2, 0, 1]].ravel()
-        key = np.minimum(one, other) * len(self.points) + np.maximum(one, other)
+        """Cell across the facet opposite each local node (m, d + 1); -1 on the boundary."""
+        facets = np.sort(self.cells[:, _opposite(self.dim)].reshape(-1, self.dim), axis=1)
+        key = facets[:, 0]
+        for column in facets.T[1:]:
+            key = key * len(self.points) + column
         order = np.argsort(key, kind="stable")
         same = np.flatnonzero(np.diff(key[order]) == 0)
         across = np.full(len(key), -1)
-        across[order[same]], across[order[same + 1]] = order[same + 1] // 3, order[same] // 3
-        return across.reshape(-1, 3)
+        one, other = order[same], order[same + 1]
+        across[one], across[other] = other // (self.dim + 1), one // (self.dim + 1)
+        return across.reshape(self.cells.shape)
 
     @cached_property
     def valences(self) -> np.ndarray:
@@ -90,24 +97,25 @@ class Mesh:
 
     @cached_property
     def reaches(self) -> tuple[np.ndarray, np.ndarray]:
-        """Middle (m, 2) mm of each cell, and a distance (m, 1) mm well beyond its corners."""
+        """Middle (m, d) mm of each cell, and a distance (m, 1) mm well beyond its corners."""
         middle = self.corners.mean(axis=1)
         return middle, 1.5 * np.linalg.norm(self.corners - middle[:, None], axis=2).max(axis=1)[:, None]
 
     @cached_property
-    def boundary_edges(self) -> np.ndarray:
-        """Edges (b, 2) of the boundary, tissue on their left."""
+    def boundary_facets(self) -> np.ndarray:
+        """Facets (b, d) of the boundary, by nodes: edges with tissue on their left, triangles that turn left as seen
+        from outside."""
         cell, local = np.nonzero(self.neighbours < 0)
-        return np.stack([self.cells[cell, (local + 1) % 3], self.cells[cell, (local + 2) % 3]], axis=1)
+        return self.cells[cell[:, None], _opposite(self.dim)[local]]
 
     @cached_property
     def boundary_loops(self) -> list[np.ndarray]:
-        """Node indices of each closed boundary loop, tissue on the left, the longest loop first.
+        """In the plane: node indices of each closed boundary loop, tissue on the left, the longest loop first.
 
         Raises ValueError when two loops share a node (a pinched mesh).
         """
-        follow = dict(self.boundary_edges.tolist())
-        if len(follow) < len(self.boundary_edges):
+        follow = dict(self.boundary_facets.tolist())
+        if len(follow) < len(self.boundary_facets):
             raise ValueError("the mesh is pinched: two boundary loops share a node")
         loops = []
         while follow:
@@ -121,5 +129,21 @@ class Mesh:
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """Edge length (m,) mm of the equilateral triangle with each cell's area: the local element size h."""
-        return np.sqrt(self.areas * 4 / np.sqrt(3))
+        """Edge length (m,) mm of the regular simplex with each cell's volume: the local element size h."""
+        d = self.dim
+        return (self.volumes * factorial(d) * sqrt(2**d / (d + 1))) ** (1 / d)
+
+
+def volumes(corners: np.ndarray) -> np.ndarray:
+    """Signed volumes (...) mm^d of simplices with `corners` (..., d + 1, d)."""
+    edges = corners[..., 1:, :] - corners[..., :1, :]
+    if edges.shape[-1] == 2:
+        return (edges[..., 0, 0] * edges[..., 1, 1] - edges[..., 0, 1] * edges[..., 1, 0]) / 2
+    return np.einsum("...i,...i->...", edges[..., 0, :], np.cross(edges[..., 1, :], edges[..., 2, :])) / 6
+
+
+def _opposite(d: int) -> np.ndarray:
+    """Local nodes (d + 1, d) of the facet opposite each local node, turned outwards (see `Mesh.boundary_facets`)."""
+    facets = np.array([[k for k in range(d + 1) if k != i] for i in range(d + 1)])
+    facets[1::2, -2:] = facets[1::2, :-3:-1]
+    return facets

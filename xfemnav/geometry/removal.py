@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 
 from xfemnav.geometry.mesh import orient
+from xfemnav.geometry.parts import Faces, Parts
 
 
 def parts_inside(region, corners, part, n_parts) -> np.ndarray:
@@ -20,45 +21,42 @@ def parts_inside(region, corners, part, n_parts) -> np.ndarray:
     return shapely.contains_xy(region, x, y)
 
 
-def walls(ends, parts, removed, resections) -> dict:
-    """Facets (w, 2, 2) mm between parts on their left and right (w, 2), turned to have what stays on the left.
+def walls(facets, parts, removed, resections) -> Faces:
+    """Walls (w, 2, 2) mm between parts on their left and right (w, 2), turned to have what stays on the left.
 
     With each its resection, the nearest, and the first of those that share it; -1 where there is none.
     """
-    ends, turned = np.array(ends), removed[parts[:, 0]]
-    ends[turned] = ends[turned][:, ::-1]
+    facets, turned = np.array(facets), removed[parts[:, 0]]
+    facets[turned] = facets[turned][:, ::-1]
     # Regions may have been united, and snapped since: the nearest one took what lay beyond the facet.
-    middles = shapely.points(ends.mean(axis=1))
+    middles = shapely.points(facets.mean(axis=1))
     off = [shapely.distance(resection.region, middles) for resection in resections]
-    return {
-        "wall_part": np.where(turned, parts[:, 1], parts[:, 0]),
-        "wall_ends": ends,
-        "wall_resection": np.argmin(off, axis=0) if off else np.full(len(ends), -1),
-    }
+    return Faces(facets, np.where(turned, parts[:, 1], parts[:, 0]),
+                 np.argmin(off, axis=0) if off else np.full(len(facets), -1))
 
 
-def wall_of(subcells, resection, k, slack) -> np.ndarray:
+def wall_of(walls: Faces, resection, k, slack) -> np.ndarray:
     """Facets (w,) bool of the wall of resection k, also where it goes along another's: within `slack` (w,) mm of it."""
-    middles = shapely.points(subcells.wall_ends.mean(axis=1))
-    shared = (subcells.wall_resection >= 0) & (shapely.distance(resection.region, middles) <= slack)
-    return shared | (subcells.wall_resection == k)
+    middles = shapely.points(walls.facets.mean(axis=1))
+    shared = (walls.source >= 0) & (shapely.distance(resection.region, middles) <= slack)
+    return shared | (walls.source == k)
 
 
-def take_out(subcells, parts):
-    """The subcells without the `parts` (p,) bool, bodies of their own: lips on them become walls of no resection."""
-    sub, removed = subcells, subcells.removed | parts
-    gone = removed[sub.lip_parts]
-    new = walls(sub.lip_ends[gone.sum(axis=1) == 1], sub.lip_parts[gone.sum(axis=1) == 1], removed, ())
-    lips, rim, wall = ~gone.any(axis=1), ~removed[sub.rim_part], ~removed[sub.wall_part]
-    touch = sub.tip_touch[~removed[sub.tip_touch[:, 1]]]
+def take_out(parts: Parts, chosen) -> Parts:
+    """What is left without the parts `chosen` (p,) bool, bodies of their own: lips on them become walls of nothing."""
+    removed = parts.removed | chosen
+    gone = removed[parts.lips.parts]
+    bare = gone.sum(axis=1) == 1
+    wall = parts.walls.rows(~removed[parts.walls.parts])
+    new = walls(parts.lips.facets[bare], parts.lips.parts[bare], removed, ())
+    touch = parts.touch[~removed[parts.touch[:, 1]]]
     tips = np.unique(touch[:, 0])
-    touch = np.stack([np.searchsorted(tips, touch[:, 0]), touch[:, 1]], axis=1)
     return replace(
-        sub,
-        **{name: getattr(sub, name)[lips] for name in ("lip_cut", "lip_ends", "lip_arc", "lip_parts", "lip_on_edge")},
-        **{name: getattr(sub, name)[rim] for name in ("rim_part", "rim_ends")},
-        **{name: getattr(sub, name)[tips] for name in ("tip_cut", "tip_end", "tips", "tip_travel")},
-        **{name: np.concatenate([getattr(sub, name)[wall], new[name]]) for name in new},
-        tip_touch=touch,
+        parts,
         removed=removed,
+        lips=parts.lips.rows(~gone.any(axis=1)),
+        rim=parts.rim.rows(~removed[parts.rim.parts]),
+        walls=wall.with_rows(new),
+        fronts=parts.fronts.rows(tips),
+        touch=np.stack([np.searchsorted(tips, touch[:, 0]), touch[:, 1]], axis=1),
     )

@@ -90,7 +90,7 @@ def snap_region(net: Net, region, outline) -> tuple[shapely.Geometry, tuple[np.n
 
 def snap(mesh, net: Net, paths, walls=()) -> list[np.ndarray]:
     """Cuts (k, 2) mm snapped to the mesh, to the walls of resections, which are snapped already, and to each other."""
-    rim = mesh.points[mesh.boundary_edges]
+    rim = mesh.points[mesh.boundary_facets]
     snapped = _one_by_one(net.with_lines(walls), paths)
     for k, path in enumerate(snapped):
         others = [line for line in (*snapped[:k], *snapped[k + 1 :], *walls) if len(line) > 1]
@@ -221,7 +221,7 @@ def _is_on(segments, x, h):
 
 def find_tips(mesh, net: Net, paths, walls=()) -> list[tuple[int, np.ndarray, int]]:
     """Cut ends that are tips, as (cut, path, end): not on the outline, not on another cut or wall, not a loop's end."""
-    rim, tips = mesh.points[mesh.boundary_edges], []
+    rim, tips = mesh.points[mesh.boundary_facets], []
     for k, path in enumerate(paths):
         if len(path) < 2 or np.array_equal(path[0], path[-1]):
             continue

@@ -39,13 +39,13 @@ def facet_kinds(space: Space, kind: str, gap_mm: float, arcs: tuple[Arc, ...]) -
 
     Raises XfemnavError E409 for arcs whose ends lie off the outline or hold no facet.
     """
-    sub, mesh = space.subcells, space.mesh
-    kinds = np.full(len(sub.rim_ends), kind, dtype=object)
+    split, mesh = space.parts, space.mesh
+    kinds = np.full(len(split.rim.facets), kind, dtype=object)
     gaps = np.full(len(kinds), float(gap_mm))
     if not arcs:
         return kinds, gaps
     outline = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
-    middles = shapely.points(sub.rim_ends.mean(axis=1))
+    middles = shapely.points(split.rim.facets.mean(axis=1))
     on = shapely.distance(outline, middles) < 1e-6
     at = shapely.line_locate_point(outline, middles)
     for arc in arcs:

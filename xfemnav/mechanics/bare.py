@@ -55,6 +55,6 @@ def without_blades(space: Space, cuts, resections, outline: OutlineConditions, l
     conditions = stack([conditions, at_rest(space.enrichment, gone)], n_dof)
     touching = [outline.contacts]
     if lips == "contact":
-        touching.append(lip_contacts(space, (), np.empty((0, 2)), space.subcells.removed | gone))
+        touching.append(lip_contacts(space, (), np.empty((0, 2)), space.parts.removed | gone))
     contacts = join(touching, n_dof)
     return Bare(conditions, springs, outline.load + load, contacts if len(contacts.gap) else None, weak, means)

@@ -19,7 +19,8 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.locate import Buckets, bucket
 from xfemnav.geometry.mesh import Mesh, frozen_array
-from xfemnav.geometry.subcells import Subcells, embed
+from xfemnav.geometry.parts import Parts
+from xfemnav.geometry.subcells import embed
 from xfemnav.geometry.window import near_cells
 from xfemnav.mechanics.constraints import Constraints, eliminate
 from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
@@ -54,7 +55,7 @@ class Condensation:
         object.__setattr__(self, "open_facets", frozen_array(self.open_facets, bool, (None,), "open_facets"))
 
     @cached_property
-    def uncut(self) -> Subcells:
+    def uncut(self) -> Parts:
         """The mesh without cuts."""
         return embed(self.mesh, ())
 
@@ -105,13 +106,13 @@ class Condensation:
     @cached_property
     def shared_nodes(self) -> np.ndarray:
         """Nodes (k,) between a facet that is open and one that is not."""
-        edges = self.mesh.boundary_edges
+        edges = self.mesh.boundary_facets
         return np.intersect1d(edges[self.open_facets], edges[~self.open_facets])
 
     @cached_property
     def live_facets(self) -> np.ndarray:
         """Facets (b,) bool whose conditions a cut sets: the open ones, and the next to them."""
-        return self.open_facets | np.isin(self.mesh.boundary_edges, self.shared_nodes).any(axis=1)
+        return self.open_facets | np.isin(self.mesh.boundary_facets, self.shared_nodes).any(axis=1)
 
     @cached_property
     def facet_number(self) -> np.ndarray:
@@ -129,7 +130,7 @@ class Condensation:
         """Whether skull conditions about these mouths (m, 2) mm differ on the open facets alone."""
         if not len(mouths):
             return True
-        ends = self.uncut.rim_ends[~self.open_facets]
+        ends = self.uncut.rim.facets[~self.open_facets]
         gap = np.linalg.norm(ends[:, :, None] - np.asarray(mouths), axis=3).min(initial=np.inf)
         return gap >= _grip(self.skull) + _longest(self.uncut)
 
@@ -144,7 +145,7 @@ def condense(
     The compliance of the `most` nodes nearest to the path, of those within reach, is worked out at once.
     """
     line = shapely.LineString(path)
-    ends = mesh.points[mesh.boundary_edges]
+    ends = mesh.points[mesh.boundary_facets]
     longest = np.linalg.norm(np.diff(ends, axis=1), axis=2).max()
     near = _distance(line, ends.reshape(-1, 2)).reshape(-1, 2).min(axis=1) < reach_mm + FACETS * longest
     if len(mouths):
@@ -158,7 +159,7 @@ def condense(
     order = np.argsort(distance, kind="stable")[:most]
     nodes = np.zeros(len(distance), dtype=bool)
     nodes[order[distance[order] <= reach_mm]] = True
-    nodes[mesh.boundary_edges[near]] = True
+    nodes[mesh.boundary_facets[near]] = True
     # Sorted across the path, as the nodes of one cut are near to each other.
     along = np.subtract(path[-1], path[0])
     known = np.flatnonzero(nodes & ~found.held)
@@ -205,9 +206,9 @@ class Compliance:
         self._place[missing] = np.arange(old, new)
 
 
-def with_rim(subcells: Subcells, kept) -> Subcells:
+def with_rim(split: Parts, kept) -> Parts:
     """The same with only the facets of the outline that are `kept` (b,) bool."""
-    return replace(subcells, rim_part=subcells.rim_part[kept], rim_ends=subcells.rim_ends[kept])
+    return replace(split, rim=split.rim.rows(kept))
 
 
 def chosen(constraints: Constraints, kept) -> Constraints:
@@ -221,8 +222,8 @@ def _grip(skull):
     return skull.craniotomy_mm + skull.ramp_mm
 
 
-def _longest(subcells):
-    return np.linalg.norm(np.diff(subcells.rim_ends, axis=1), axis=2).max()
+def _longest(split):
+    return np.linalg.norm(np.diff(split.rim.facets, axis=1), axis=2).max()
 
 
 def _distance(line, points):

@@ -46,7 +46,7 @@ def lip_contacts(space: Space, retractions: tuple[Retraction, ...], spans, remov
     spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts that are not in the result.
     """
     found = []
-    for cut in np.unique(space.subcells.lip_cut):
+    for cut in np.unique(space.parts.lips.cut):
         ends = [x for r, span in zip(retractions, spans) if r.cut == cut and r.holds for x in span]
         for stretch in _stretches(space, cut, _held_on_both(cut, retractions, spans), ends, removed):
             found.append(_stretch_contacts(space, cut, stretch))
@@ -88,7 +88,7 @@ def contact_forces(contacts: Contacts, force) -> tuple[ContactForce, ...]:
 
 def lip_gaps(space: Space, U, cut: int) -> tuple[np.ndarray, np.ndarray]:
     """Arc (q,) mm and normal gap (q,) mm between the lips at Gauss points of a cut; U (n_rows, 2) mm."""
-    length = space.subcells.lip_arc[space.subcells.lip_cut == cut].max()
+    length = space.parts.lips.arc[space.parts.lips.cut == cut].max()
     q = lip_quadrature(space, cut, LEFT, (0.0, length))
     jump = (space.basis_in(q.points, q.parts) - space.basis_in(q.points, q.across)) @ U
     return q.arc, np.einsum("qi,qi->q", jump, q.normals)
@@ -115,28 +115,28 @@ def _stretch_contacts(space, cut, span):
 
 def _towards_tips(space, cut):
     """Arc (k,) mm of pieces that halve towards the cut's tips: Gauss points follow the branch functions there."""
-    sub = space.subcells
-    own = np.flatnonzero(sub.lip_cut == cut)
-    h = space.mesh.sizes[sub.part_cell[sub.lip_parts[own]]].max()
-    start, stop = sub.lip_arc[own].min(), sub.lip_arc[own].max()
+    split = space.parts
+    own = np.flatnonzero(split.lips.cut == cut)
+    h = space.mesh.sizes[split.cell[split.lips.parts[own]]].max()
+    start, stop = split.lips.arc[own].min(), split.lips.arc[own].max()
     pieces = 4 * h * 0.5 ** np.arange(20)
-    ends = sub.tip_end[sub.tip_cut == cut]
+    ends = split.fronts.end[split.fronts.cut == cut]
     return np.concatenate([start + pieces if end == 0 else stop - pieces for end in ends] or [np.empty(0)])
 
 
 def _stretches(space, cut, held, ends, removed):
     """Parts (from, to) mm of a cut that has two lips, not both held, between blades' ends and the cut's own breaks."""
-    sub = space.subcells
-    own = np.flatnonzero((sub.lip_cut == cut) & ~removed[sub.lip_parts].any(axis=1))
+    split = space.parts
+    own = np.flatnonzero((split.lips.cut == cut) & ~removed[split.lips.parts].any(axis=1))
     if not len(own):
         return
-    own = own[np.argsort(sub.lip_arc[own, 0])]
-    size = space.mesh.sizes[sub.part_cell[sub.lip_parts[own]]].mean(axis=1)
+    own = own[np.argsort(split.lips.arc[own, 0])]
+    size = space.mesh.sizes[split.cell[split.lips.parts[own]]].mean(axis=1)
     breaks = np.unique(np.concatenate([_breaks(space, cut, size.mean()), ends]))
-    for start, stop in _free(sub.lip_arc[own], held, 1e-6 * size.min()):
+    for start, stop in _free(split.lips.arc[own], held, 1e-6 * size.min()):
         ends = [start]
         for x in breaks:
-            h = size[np.clip(np.searchsorted(sub.lip_arc[own, 0], x) - 1, 0, len(own) - 1)]
+            h = size[np.clip(np.searchsorted(split.lips.arc[own, 0], x) - 1, 0, len(own) - 1)]
             if ends[-1] + h < x < stop - h:
                 ends.append(x)
         yield from zip(ends, [*ends[1:], stop])
@@ -168,7 +168,7 @@ def _held_on_both(cut, retractions, spans):
 
 def _breaks(space, cut, h):
     """Arc (k,) mm, sorted, where hats end: bends of the cut, seen over an element each way, and other cuts on it."""
-    paths = space.subcells.paths
+    paths = space.parts.paths
     line = shapely.LineString(paths[cut])
     corners = shapely.points(paths[cut][1:-1])
     arcs = shapely.line_locate_point(line, corners)

@@ -45,11 +45,11 @@ def _hung_bodies(problem):
 
 def _named(problem, body):
     """'the organ', or the piece that a body is, with its area and a place in it."""
-    sub, own = problem.subcells, problem.enrichment.body == body
-    area = np.bincount(problem.enrichment.body, np.bincount(sub.part, sub.areas, sub.n_parts))
-    if area[body] >= area[np.unique(problem.enrichment.body[~sub.removed])].max():
+    split, own = problem.parts, problem.enrichment.body == body
+    area = np.bincount(problem.enrichment.body, np.bincount(split.part, split.volumes, split.n_parts))
+    if area[body] >= area[np.unique(problem.enrichment.body[~split.removed])].max():
         return "the organ"
-    x, y = sub.corners[own[sub.part]][sub.areas[own[sub.part]].argmax()].mean(axis=0)
+    x, y = split.corners[own[split.part]][split.volumes[own[split.part]].argmax()].mean(axis=0)
     return f"the piece of {area[body]:.3g} mm2 about ({x:.1f}, {y:.1f}) mm"
 
 

@@ -127,8 +127,8 @@ def strain_operator(gradient) -> np.ndarray:
 
 def stiffness(space: Space, material: Material | Tissue, cells=None) -> csc_array:
     """K (n_dof, n_dof) kPa, per mm of thickness; symmetric. With `cells`, only their share: their element stiffness."""
-    subcells = space.subcells
-    chosen = np.ones(subcells.n_parts, bool) if cells is None else np.isin(subcells.part_cell, cells)
+    split = space.parts
+    chosen = np.ones(split.n_parts, bool) if cells is None else np.isin(split.cell, cells)
     return stiffness_of_parts(space, material, chosen)
 
 
@@ -138,21 +138,21 @@ def stiffness_of_parts(space: Space, material: Material | Tissue, chosen) -> csc
     Plain and Heaviside parts carry constant gradients, so their integrals are exact. Parts with branch functions are
     integrated by the tip-adapted rule.
     """
-    subcells, table = space.subcells, space.enrichment
-    branched = np.zeros(subcells.n_parts, dtype=bool)
+    split, table = space.parts, space.enrichment
+    branched = np.zeros(split.n_parts, dtype=bool)
     branched[space.branch_parts] = True
     plain = np.flatnonzero(chosen & ~branched)
-    mu, lam = material.lame_in(subcells.part_cell)
+    mu, lam = material.lame_in(split.cell)
     if material.stress_state == "stress":
         lam = 2 * lam * mu / (lam + 2 * mu)
-    area = np.bincount(subcells.part, subcells.areas, subcells.n_parts)[plain]
+    area = np.bincount(split.part, split.volumes, split.n_parts)[plain]
     tip_rows, blocks = np.empty((0, 3), np.int64), np.empty((0, 6, 6))
-    about_tip = np.flatnonzero((chosen & branched)[subcells.part])
+    about_tip = np.flatnonzero((chosen & branched)[split.part])
     if len(about_tip):
-        points, weights, owner = tip_rule(subcells.corners[about_tip], subcells.tips)
-        parts = subcells.part[about_tip][owner]
+        points, weights, owner = tip_rule(split.corners[about_tip], split.fronts.at)
+        parts = split.part[about_tip][owner]
         blocks, tip_rows = tip_blocks(space, points, weights, parts, lam, mu)
-    gradients = space.mesh.gradients[subcells.part_cell[plain]]
+    gradients = space.mesh.gradients[split.cell[plain]]
     return assemble(table.n_rows, table.dof[plain], gradients, lam[plain] * area, mu[plain] * area, tip_rows, blocks)
 
 

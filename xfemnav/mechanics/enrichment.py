@@ -18,7 +18,7 @@ from numba import njit
 
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.partition import HERE
-from xfemnav.geometry.subcells import Subcells
+from xfemnav.geometry.parts import Parts
 from xfemnav.mechanics.angles import centroids, torn, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_functions, polar
 
@@ -32,7 +32,7 @@ class Enrichment:
     node (n,): the node of each row; kind (n,): STANDARD (row i is node i's, on the piece that holds the node),
     HEAVISIDE (a further piece), or BRANCH + l for F_{l+1}, l = 0..3; tip (n,): the tip of a branch row, else -1;
     shift (n,): F_l(x_i) of a branch row, else 0.
-    dof (p, 3): row of the function of each part's local nodes.
+    dof (p, d + 1): row of the function of each part's local nodes.
     Branch functions by part, sorted by part: entry_part, entry_node (local), entry_row (of F_1; F_2.. follow),
     entry_angle (unwrapped angle of the part about the tip) (e,), and entry_ramp (e, 3): the blending ramp's nodal
     values on the part's cell, all 1 where there is none.
@@ -58,12 +58,12 @@ class Enrichment:
             ("kind", np.int8, (n,)),
             ("tip", np.int64, (n,)),
             ("shift", float, (n,)),
-            ("dof", np.int64, (n, 3)),
+            ("dof", np.int64, (n, n)),
             ("entry_part", np.int64, (n,)),
             ("entry_node", np.int64, (n,)),
             ("entry_row", np.int64, (n,)),
             ("entry_angle", float, (n,)),
-            ("entry_ramp", float, (n, 3)),
+            ("entry_ramp", float, (n, n)),
             ("body", np.int64, (n,)),
         ):
             object.__setattr__(self, name, frozen_array(getattr(self, name), kind, shape, name))
@@ -90,7 +90,7 @@ class Enrichment:
 
 
 def enrich(
-    mesh: Mesh, subcells: Subcells, tip_enrichment: str = "topological", tip_radius_mm: float | None = None
+    mesh: Mesh, split: Parts, tip_enrichment: str = "topological", tip_radius_mm: float | None = None
 ) -> Enrichment:
     """Find the pieces of every node's support and the nodes that carry branch functions.
 
@@ -99,17 +99,17 @@ def enrich(
     2008): R is the sum of the nodal shape functions of those nodes, and all nodes of their cells carry
     N_i R (F_l - F_l(x_i)).
     """
-    dof, node, body = _pieces(mesh, subcells)
+    dof, node, body = _pieces(mesh, split)
     kind = np.where(np.arange(len(node)) < len(mesh.points), STANDARD, HEAVISIDE)
     rows, entries, first = [], [], len(node)
-    if tip_enrichment != "none" and len(subcells.tips):
-        middle = centroids(subcells)
-        for tip in range(len(subcells.tips)):
+    if tip_enrichment != "none" and len(split.fronts.at):
+        middle = centroids(split)
+        for tip in range(len(split.fronts.at)):
             if tip_enrichment == "geometric":
-                radius = tip_radius_mm if tip_radius_mm is not None else default_radius(mesh, subcells, tip)
-                table = _within_radius(mesh, subcells, dof, middle, tip, radius)
+                radius = tip_radius_mm if tip_radius_mm is not None else default_radius(mesh, split, tip)
+                table = _within_radius(mesh, split, dof, middle, tip, radius)
             else:
-                table = _at_tip(mesh, subcells, dof, middle, tip)
+                table = _at_tip(mesh, split, dof, middle, tip)
             for i, shift, parts, local, angle, ramp in table:
                 rows.append((i, tip, shift))
                 entries.append((parts, local, np.full(len(parts), first), angle, ramp))
@@ -117,7 +117,7 @@ def enrich(
     part, local, row, angle, ramp = (
         [np.concatenate(column) for column in zip(*entries)]
         if entries
-        else (np.empty(0, int), np.empty(0, int), np.empty(0, int), np.empty(0), np.empty((0, 3)))
+        else (np.empty(0, int), np.empty(0, int), np.empty(0, int), np.empty(0), np.empty((0, dof.shape[1])))
     )
     order = np.argsort(part, kind="stable")
     return Enrichment(
@@ -135,48 +135,44 @@ def enrich(
     )
 
 
-def default_radius(mesh: Mesh, subcells: Subcells, tip: int) -> float:
+def default_radius(mesh: Mesh, split: Parts, tip: int) -> float:
     """Radius mm of geometric enrichment: a fifth of the cut, but no less than four elements, for short cuts."""
-    path = subcells.paths[subcells.tip_cut[tip]]
+    path = split.paths[split.fronts.cut[tip]]
     length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-    h = mesh.sizes[subcells.part_cell[touched_parts(subcells, tip)]].mean()
+    h = mesh.sizes[split.cell[touched_parts(split, tip)]].mean()
     return float(max(length / 5, 4 * h))
 
 
-def _pieces(mesh, subcells):
-    """Rows of the functions N_i 1_piece: dof (p, 3) and the node (n,) of each; and the body (p,) of each part."""
-    cells = mesh.cells[subcells.part_cell]
-    label, body = _connected(cells, subcells.joins)
+def _pieces(mesh, split):
+    """Rows of the functions N_i 1_piece: dof (p, d + 1) and the node (n,) of each; and the body (p,) of each part."""
+    cells = mesh.cells[split.cell]
+    label, body = _connected(cells, split.joins, split.through)
     # The standard row of a node is the piece that holds the node; of several that touch it, the largest that is left.
     node_of = np.empty(label.max() + 1, dtype=int)
     node_of[label] = cells.ravel()
-    area = np.bincount(label, np.repeat(np.bincount(subcells.part, subcells.areas, len(cells)), 3))
+    area = np.bincount(label, np.repeat(np.bincount(split.part, split.volumes, len(cells)), cells.shape[1]))
     holds, gone = np.zeros((2, len(node_of)), dtype=bool)
-    holds[label[_held(mesh, subcells, cells)]] = True
-    gone[label] = np.repeat(subcells.removed, 3)
+    holds[label[_held(mesh, split, cells)]] = True
+    gone[label] = np.repeat(split.removed, cells.shape[1])
     rank = np.lexsort((np.arange(len(node_of)), -area, gone, ~holds, node_of))
     head = np.concatenate([[True], np.diff(node_of[rank]) != 0])
     row = np.empty(len(node_of), dtype=int)
     row[rank[head]] = node_of[rank[head]]
     row[rank[~head]] = len(mesh.points) + np.arange((~head).sum())
     node = np.concatenate([np.arange(len(mesh.points)), node_of[rank[~head]]])
-    return row[label].reshape(-1, 3), node, body
+    return row[label].reshape(cells.shape), node, body
 
 
 @njit(cache=True)
-def _connected(cells, joins):
-    """Number of the piece that each local node of each part, 3 part + local, is in; and of each part's body."""
-    pieces, bodies = np.arange(cells.size), np.arange(len(cells))
+def _connected(cells, joins, through):
+    """Number of the piece that each local node of each part, (d + 1) part + local, is in; and of each part's body."""
+    pieces, bodies, n = np.arange(cells.size), np.arange(len(cells)), cells.shape[1]
     for j in range(len(joins)):
-        p, q, i, k = joins[j]
+        p, q = joins[j]
         _join(bodies, p, q)
-        for local in range(3):
-            if i < 0:
-                _join(pieces, 3 * p + local, 3 * q + local)
-            elif cells[p, local] == i or cells[p, local] == k:
-                for other in range(3):
-                    if cells[q, other] == cells[p, local]:
-                        _join(pieces, 3 * p + local, 3 * q + other)
+        for local in range(n):
+            if through[j, local] >= 0:
+                _join(pieces, n * p + local, n * q + through[j, local])
     _number(pieces)
     _number(bodies)
     return pieces, bodies
@@ -205,43 +201,43 @@ def _number(parent):
             parent[a] = parent[parent[a]]
 
 
-def _held(mesh, subcells, cells):
+def _held(mesh, split, cells):
     """Flat indices (part, local) of the parts that have the node itself as a corner."""
-    corner = subcells.corners.reshape(-1, 2)
-    part = np.repeat(subcells.part, 3)
-    tolerance = HERE * mesh.sizes[subcells.part_cell[part]]
-    found = [3 * part[np.hypot(*(corner - mesh.points[cells[part, a]]).T) <= tolerance] + a for a in range(3)]
+    corner, n = split.corners.reshape(-1, mesh.dim), mesh.dim + 1
+    part = np.repeat(split.part, n)
+    tolerance = HERE * mesh.sizes[split.cell[part]]
+    found = [n * part[np.linalg.norm(corner - mesh.points[cells[part, a]], axis=1) <= tolerance] + a for a in range(n)]
     return np.unique(np.concatenate(found))
 
 
-def _at_tip(mesh, subcells, dof, middle, tip):
+def _at_tip(mesh, split, dof, middle, tip):
     """For each node of the paper's set K: node, F_l(x_i), parts, local nodes, unwrapped angles, ramp (none)."""
-    touched = touched_parts(subcells, tip)
-    nodes = _nodes_about(mesh, subcells.part_cell[touched], subcells.tips[tip])
-    nodes = [i for i in nodes if not _holds_other_end(mesh, subcells, tip, i)]
-    cells = mesh.cells[subcells.part_cell]
+    touched = touched_parts(split, tip)
+    nodes = _nodes_about(mesh, split.cell[touched], split.fronts.at[tip])
+    nodes = [i for i in nodes if not _holds_other_end(mesh, split, tip, i)]
+    cells = mesh.cells[split.cell]
     # The functions live on the piece that the tip touches.
     pieces = {int(cells[p, a]): int(dof[p, a]) for p in touched for a in range(3) if cells[p, a] in nodes}
-    angle = unwrap(subcells, middle, tip, np.isin(dof, list(pieces.values())).any(axis=1))
-    jumping = torn(subcells, middle, tip, angle)
+    angle = unwrap(split, middle, tip, np.isin(dof, list(pieces.values())).any(axis=1))
+    jumping = torn(split, middle, tip, angle)
     for i, row in sorted(pieces.items()):
         parts, local = np.nonzero(dof == row)
         parts, local = _reached(parts, local, angle)
         if not len(parts) or jumping[parts].any():
             continue
-        shift = _shift(mesh, subcells, middle, angle, tip, i, parts)
+        shift = _shift(mesh, split, middle, angle, tip, i, parts)
         yield i, shift, parts, local, angle[parts], np.ones((len(parts), 3))
 
 
-def _within_radius(mesh, subcells, dof, middle, tip, radius):
+def _within_radius(mesh, split, dof, middle, tip, radius):
     """The same for every node within `radius` mm of the tip and, under the ramp, the other nodes of their cells."""
-    inner = np.linalg.norm(mesh.points - subcells.tips[tip], axis=1) < min(radius, _behind(mesh, subcells, tip))
-    inner[_nodes_about(mesh, subcells.part_cell[touched_parts(subcells, tip)], subcells.tips[tip])] = True
-    inner[[i for i in np.flatnonzero(inner) if _holds_other_end(mesh, subcells, tip, i)]] = False
-    cells = mesh.cells[subcells.part_cell]
+    inner = np.linalg.norm(mesh.points - split.fronts.at[tip], axis=1) < min(radius, _behind(mesh, split, tip))
+    inner[_nodes_about(mesh, split.cell[touched_parts(split, tip)], split.fronts.at[tip])] = True
+    inner[[i for i in np.flatnonzero(inner) if _holds_other_end(mesh, split, tip, i)]] = False
+    cells = mesh.cells[split.cell]
     inside = inner[cells].any(axis=1)
-    angle = unwrap(subcells, middle, tip, inside)
-    inner[cells[torn(subcells, middle, tip, angle)]] = False
+    angle = unwrap(split, middle, tip, inside)
+    inner[cells[torn(split, middle, tip, angle)]] = False
     inside = inner[cells].any(axis=1)
     parts, local = np.nonzero(np.repeat((inside & np.isfinite(angle))[:, None], 3, axis=1))
     order = np.argsort(cells[parts, local], kind="stable")
@@ -249,21 +245,21 @@ def _within_radius(mesh, subcells, dof, middle, tip, radius):
     nodes, start = np.unique(cells[parts, local], return_index=True)
     for i, own_parts, own_local in zip(nodes, np.split(parts, start[1:]), np.split(local, start[1:])):
         standard = own_parts[dof[own_parts, own_local] == i]
-        shift = _shift(mesh, subcells, middle, angle, tip, i, standard if len(standard) else own_parts)
+        shift = _shift(mesh, split, middle, angle, tip, i, standard if len(standard) else own_parts)
         yield int(i), shift, own_parts, own_local, angle[own_parts], inner[cells[own_parts]].astype(float)
 
 
-def _behind(mesh, subcells, tip):
+def _behind(mesh, split, tip):
     """Distance mm that keeps the enriched cells before the cut's other end; no limit when that is no tip, but a mouth.
 
     Beyond the other end the angle about this tip has no cut to jump on.
     """
-    end = -1 - subcells.tip_end[tip]
-    if not ((subcells.tip_cut == subcells.tip_cut[tip]) & (subcells.tip_end == end)).any():
+    end = -1 - split.fronts.end[tip]
+    if not ((split.fronts.cut == split.fronts.cut[tip]) & (split.fronts.end == end)).any():
         return np.inf
-    other = subcells.paths[subcells.tip_cut[tip]][end]
-    h = mesh.sizes[subcells.part_cell[touched_parts(subcells, tip)]].max()
-    return np.linalg.norm(other - subcells.tips[tip]) - 1.5 * h
+    other = split.paths[split.fronts.cut[tip]][end]
+    h = mesh.sizes[split.cell[touched_parts(split, tip)]].max()
+    return np.linalg.norm(other - split.fronts.at[tip]) - 1.5 * h
 
 
 def _reached(parts, local, angle):
@@ -271,11 +267,11 @@ def _reached(parts, local, angle):
     return parts[reached], local[reached]
 
 
-def _shift(mesh, subcells, middle, angle, tip, node, parts):
+def _shift(mesh, split, middle, angle, tip, node, parts):
     """F_l (4,) at the node, on the lip of the nearest of the parts."""
     x = mesh.points[[node]]
     holder = parts[np.argmin(np.linalg.norm(middle[parts] - x, axis=1))]
-    r, theta = polar(x, subcells.tips[[tip]], subcells.tip_travel[[tip]], angle[[holder]])
+    r, theta = polar(x, split.fronts.at[[tip]], split.fronts.travel[[tip]], angle[[holder]])
     return branch_functions(r, theta)[0]
 
 
@@ -288,11 +284,11 @@ def _nodes_about(mesh, cells, x):
     return nodes[count == len(np.unique(cells))].tolist()
 
 
-def _holds_other_end(mesh, subcells, tip, node):
+def _holds_other_end(mesh, split, tip, node):
     """True when the cut's other end is a tip inside the node's support: the line of the jump would pass beyond it."""
-    same = np.flatnonzero((subcells.tip_cut == subcells.tip_cut[tip]) & (subcells.tip_end != subcells.tip_end[tip]))
+    same = np.flatnonzero((split.fronts.cut == split.fronts.cut[tip]) & (split.fronts.end != split.fronts.end[tip]))
     for other in same:
-        touched = subcells.tip_touch[subcells.tip_touch[:, 0] == other, 1]
-        if node in _nodes_about(mesh, subcells.part_cell[touched], subcells.tips[other]):
+        touched = split.touch[split.touch[:, 0] == other, 1]
+        if node in _nodes_about(mesh, split.cell[touched], split.fronts.at[other]):
             return True
     return False

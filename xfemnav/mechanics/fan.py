@@ -13,16 +13,16 @@ UNIFORM = 4
 
 def graded_triangles(space) -> tuple[np.ndarray, np.ndarray]:
     """Triangles (t, 3, 2) mm of the cut organ at rest and the part (t,) that each lies in."""
-    sub = space.subcells
-    branched = np.isin(sub.part, space.branch_parts)
-    corners, part = sub.corners[branched], sub.part[branched]
+    split = space.parts
+    branched = np.isin(split.part, space.branch_parts)
+    corners, part = split.corners[branched], split.part[branched]
     at_tip = np.zeros((len(corners), 3), dtype=bool)
-    if len(sub.tips):
-        gap = np.linalg.norm(corners[:, :, None] - sub.tips, axis=3).min(axis=2)
+    if len(split.fronts.at):
+        gap = np.linalg.norm(corners[:, :, None] - split.fronts.at, axis=3).min(axis=2)
         at_tip = gap <= 1e-9 * np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)[:, None]
     fans = at_tip.sum(axis=1) == 1
     turn = (np.argmax(at_tip[fans], axis=1)[:, None] + np.arange(3)) % 3
-    pieces = [(sub.corners[~branched], sub.part[~branched])]
+    pieces = [(split.corners[~branched], split.part[~branched])]
     for weights, chosen, owner in (
         (_fan(), np.take_along_axis(corners[fans], turn[:, :, None], axis=1), part[fans]),
         (_uniform(), corners[~fans], part[~fans]),

@@ -43,15 +43,15 @@ def stress_intensity(
     none. The disc must hold no other tip, no held part of a lip and no
     outline but the lips themselves. 1 kPa mm^.5 = 31.6 Pa m^.5.
     """
-    sub = space.subcells
-    x, frame = sub.tips[tip], tip_frame(sub.tip_travel[tip])
-    part_near = np.linalg.norm(sub.corners - x, axis=2).min(axis=1) < radius_mm
-    inside = np.zeros(sub.n_parts, dtype=bool)
-    inside[sub.part[part_near]] = True
-    angle = unwrap(sub, centroids(sub), tip, inside)
-    reached = part_near & np.isfinite(angle[sub.part])
-    points, weights, owner = _domain_rule(sub.corners[reached], x, radius_mm)
-    parts = sub.part[reached][owner]
+    split = space.parts
+    x, frame = split.fronts.at[tip], tip_frame(split.fronts.travel[tip])
+    part_near = np.linalg.norm(split.corners - x, axis=2).min(axis=1) < radius_mm
+    inside = np.zeros(split.n_parts, dtype=bool)
+    inside[split.part[part_near]] = True
+    angle = unwrap(split, centroids(split), tip, inside)
+    reached = part_near & np.isfinite(angle[split.part])
+    points, weights, owner = _domain_rule(split.corners[reached], x, radius_mm)
+    parts = split.part[reached][owner]
     P = _flux(space, material, np.asarray(U), points, parts, tip, angle[parts], frame)
     offset = (points - x) @ frame.T
     r = np.hypot(*offset.T)
@@ -83,36 +83,37 @@ def free_tips(problem: Problem, U, force) -> tuple[FreeTip, ...]:
     The disc keeps off forces inside of the tissue, which the integral leaves out: weight, and what holds a loose piece.
     force (g,) mN per mm: the multipliers of the problem's contacts.
     """
-    sub, table, found = problem.subcells, problem.space.enrichment, []
+    split, table, found = problem.parts, problem.space.enrichment, []
     pushed = problem.load.reshape(-1, 2).any(axis=1)
     if problem.means is not None:
         pushed[problem.means.C.indices // 2] = True
-    for tip, x in enumerate(sub.tips):
-        h = problem.mesh.sizes[sub.part_cell[touched_parts(sub, tip)]].max()
+    for tip, x in enumerate(split.fronts.at):
+        h = problem.mesh.sizes[split.cell[touched_parts(split, tip)]].max()
         radius = 0.9 * _clearance(problem, tip, pushed[table.dof].any(axis=1))
         if radius >= 2 * h:
-            material = problem.material.at(sub.part_cell[touched_parts(sub, tip)[0]])
-            pressure = partial(lip_pressure, problem.contacts, force, sub.tip_cut[tip]) if np.any(force) else None
+            material = problem.material.at(split.cell[touched_parts(split, tip)[0]])
+            cut = int(split.fronts.cut[tip])
+            pressure = partial(lip_pressure, problem.contacts, force, cut) if np.any(force) else None
             K = np.array(stress_intensity(problem.space, material, U, tip, radius, pressure)) * PA_SQRT_M
-            found.append(FreeTip(int(sub.tip_cut[tip]), tuple(x.tolist()), float(K[0]), float(K[1]), float(radius)))
+            found.append(FreeTip(cut, tuple(x.tolist()), float(K[0]), float(K[1]), float(radius)))
     return tuple(found)
 
 
 def _clearance(problem, tip, pushed):
     """Distance mm from a tip to the nearest outline, tip, cut, tissue but its own, held or loaded lip, or part that is
     `pushed` (p,) bool."""
-    sub, x = problem.subcells, problem.subcells.tips[tip]
-    own = sub.part_cell[touched_parts(sub, tip)[0]]
-    D = problem.material.stiffness_in(sub.part_cell[sub.part])
+    split, x = problem.parts, problem.parts.fronts.at[tip]
+    own = split.cell[touched_parts(split, tip)[0]]
+    D = problem.material.stiffness_in(split.cell[split.part])
     other = np.abs(D - problem.material.at(own).stiffness).max(axis=(1, 2)) > 1e-9 * D.max()
-    other |= pushed[sub.part]
-    rim = np.concatenate([sub.rim_ends, sub.wall_ends])
-    distance = [shapely.linestrings(rim), shapely.points(np.delete(sub.tips, tip, axis=0))]
-    distance.append(shapely.polygons(sub.corners[other]))
-    distance.append(shapely.linestrings(sub.lip_ends[sub.lip_cut != sub.tip_cut[tip]]))
+    other |= pushed[split.part]
+    rim = np.concatenate([split.rim.facets, split.walls.facets])
+    distance = [shapely.linestrings(rim), shapely.points(np.delete(split.fronts.at, tip, axis=0))]
+    distance.append(shapely.polygons(split.corners[other]))
+    distance.append(shapely.linestrings(split.lips.facets[split.lips.cut != split.fronts.cut[tip]]))
     for retraction, span in zip(problem.retractions, problem.spans):
-        held = (sub.lip_cut == retraction.cut) & (sub.lip_arc[:, 0] < span[1]) & (sub.lip_arc[:, 1] > span[0])
-        distance.append(shapely.linestrings(sub.lip_ends[held]))
+        held = (split.lips.cut == retraction.cut) & (split.lips.arc[:, 0] < span[1]) & (split.lips.arc[:, 1] > span[0])
+        distance.append(shapely.linestrings(split.lips.facets[held]))
     return float(min(shapely.distance(lines, shapely.Point(x)).min(initial=np.inf) for lines in distance))
 
 
@@ -161,7 +162,7 @@ def _flux(space, material, U, points, parts, tip, reference, frame, real_tractio
 
 def _unit_gradient(space, material, points, tip, reference, frame):
     """u'_i,j (2 modes, q, 2, 2), 1/mm, of each mode with unit intensity, in the tip's frame."""
-    tips = np.broadcast_to(space.subcells.tips[tip], points.shape)
+    tips = np.broadcast_to(space.parts.fronts.at[tip], points.shape)
     r, theta = polar(points, tips, np.broadcast_to(frame[0], points.shape), reference)
     scale = 1 / (2 * material.shear_modulus * np.sqrt(2 * np.pi))
     return scale * np.einsum("mli,qlj->mqij", mode_combinations(material.kappa), branch_gradients(r, theta))
@@ -175,20 +176,21 @@ def _tensor(s, frame):
 
 def _lip_integral(space, material, U, tip, angle, frame, radius, pressure):
     """Integral of P_j m_j q over both lips; the traction of the solution is there the pressure, or nothing."""
-    sub = space.subcells
-    cut = sub.tip_cut[tip]
+    split = space.parts
+    cut = split.fronts.cut[tip]
     total = np.zeros(2)
-    near = (sub.lip_cut == cut) & (np.linalg.norm(sub.lip_ends - sub.tips[tip], axis=2).min(axis=1) < radius)
-    span = sub.lip_arc[near].min(), sub.lip_arc[near].max()
+    off = np.linalg.norm(split.lips.facets - split.fronts.at[tip], axis=2).min(axis=1)
+    near = (split.lips.cut == cut) & (off < radius)
+    span = split.lips.arc[near].min(), split.lips.arc[near].max()
     # Pieces that halve towards the tip follow the r^-1/2 of u'_i,1.
     towards = np.concatenate([span[0] + radius * HALVES, span[1] - radius * HALVES]) if pressure else ()
     for side in (LEFT, RIGHT):
         q = lip_quadrature(space, cut, side, span, towards, n=6)
         outward = -side * q.normals @ frame.T
-        weight, _ = _weight(np.linalg.norm(q.points - sub.tips[tip], axis=1) / radius)
+        weight, _ = _weight(np.linalg.norm(q.points - split.fronts.at[tip], axis=1) / radius)
         inside = (weight > 0) & np.isfinite(angle[q.parts])
         # Where the lip lies on the tip's own line both terms without pressure vanish.
-        keep = inside & (np.abs((q.points - sub.tips[tip]) @ frame[1]) > 1e-9 * radius)
+        keep = inside & (np.abs((q.points - split.fronts.at[tip]) @ frame[1]) > 1e-9 * radius)
         if keep.any():
             P = _flux(
                 space, material, U, q.points[keep], q.parts[keep], tip, angle[q.parts[keep]], frame, real_traction=False

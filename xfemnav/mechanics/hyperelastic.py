@@ -104,16 +104,16 @@ class Organ:
 
 def organ(problem: Problem) -> Organ:
     """The organ of a problem: one point in each part with constant strains, and the tip's rule in the others."""
-    space, sub = problem.space, problem.subcells
-    plain = np.setdiff1d(np.arange(sub.n_parts), space.branch_parts)
-    points, weights = space.mesh.corners[sub.part_cell[plain]].mean(axis=1), np.bincount(sub.part, sub.areas)[plain]
-    parts, about_tip = plain, np.flatnonzero(np.isin(sub.part, space.branch_parts))
+    space, split = problem.space, problem.parts
+    plain = np.setdiff1d(np.arange(split.n_parts), space.branch_parts)
+    points, weights = space.mesh.corners[split.cell[plain]].mean(axis=1), np.bincount(split.part, split.volumes)[plain]
+    parts, about_tip = plain, np.flatnonzero(np.isin(split.part, space.branch_parts))
     if len(about_tip):
-        more = tip_rule(sub.corners[about_tip], sub.tips)
+        more = tip_rule(split.corners[about_tip], split.fronts.at)
         points, weights = np.concatenate([points, more[0]]), np.concatenate([weights, more[1]])
-        parts = np.concatenate([plain, sub.part[about_tip][more[2]]])
+        parts = np.concatenate([plain, split.part[about_tip][more[2]]])
     return Organ(
-        problem, weights, gradient_operator(space, points, parts), *problem.material.lame_in(sub.part_cell[parts])
+        problem, weights, gradient_operator(space, points, parts), *problem.material.lame_in(split.cell[parts])
     )
 
 

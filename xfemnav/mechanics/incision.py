@@ -13,7 +13,8 @@ from scipy.linalg import lapack
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.subcells import Subcells, embed
+from xfemnav.geometry.parts import Parts
+from xfemnav.geometry.subcells import embed
 from xfemnav.geometry.window import Window, window
 from xfemnav.mechanics.condensation import Condensation, chosen, with_rim
 from xfemnav.mechanics.constraints import Constraints
@@ -36,7 +37,7 @@ class CutThrough(Exception):
 class Incision:
     """A cut in a condensed organ.
 
-    space: mesh, subcells and basis of the `window` about the cut, whose rim is that of the organ;
+    space: mesh, split and basis of the `window` about the cut, whose rim is that of the organ;
     rows (a,): its basis functions that are unknown here; number (n_dof,) the unknown of each degree of freedom;
     give (2 k, 2 k): lower Cholesky factor of the uncut organ's compliance, mm per mN per mm, at the first k rows, the
     nodes, and stiff (2 k, 2 k) kPa the inverse of that compliance; A (n, n) kPa: stiffness of the unknowns q, and
@@ -113,9 +114,9 @@ def incise(
     """Cut the organ. Raises OutOfReach, CutThrough, XfemnavError E302, E407."""
     organ.skull.refuse_mouths(cuts)
     space, part = _space(organ, cuts, tip_enrichment, tip_radius_mm)
-    mesh, table, sub = space.mesh, space.enrichment, space.subcells
+    mesh, table, split = space.mesh, space.enrichment, space.parts
     material = _restricted(organ.material, part.cells)
-    mouths = np.array([path[0] for path, cut in zip(sub.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(-1, 2)
+    mouths = np.array([path[0] for path, cut in zip(split.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(-1, 2)
     if not organ.reaches(mouths):
         raise OutOfReach
     outline = skull_conditions(space, organ.skull, mouths, material)
@@ -127,10 +128,10 @@ def incise(
     new = (table.dof >= n).any(axis=1)
     new[table.entry_part] = True
     cells = np.zeros(len(mesh.cells), dtype=bool)
-    cells[sub.part_cell[new]] = True
-    parts = cells[sub.part_cell]
+    cells[split.cell[new]] = True
+    parts = cells[split.cell]
     needed = np.zeros(table.n_rows, dtype=bool)
-    for rows in (table.dof[parts], table.dof[sub.lip_parts], table.entry_row[:, None] + np.arange(4),
+    for rows in (table.dof[parts], table.dof[split.lips.parts], table.entry_row[:, None] + np.arange(4),
                  mesh.cells[cells], fixed // 2, skull.C.indices // 2, outline.springs.indices // 2):
         needed[rows] = True
     if needed[held > 0].any():
@@ -149,39 +150,39 @@ def incise(
 
 
 def _space(organ, cuts, tip_enrichment, tip_radius_mm):
-    """Mesh, subcells and basis of the window about the cuts, and the window."""
+    """Mesh, split and basis of the window about the cuts, and the window."""
     geometric = tip_enrichment == "geometric"
     radius = 0.0
     if geometric:
         radius = 2 * (tip_radius_mm or max(max(cut.length for cut in cuts) / 5, 4 * organ.mesh.sizes.max()))
     path = np.concatenate([cut.path for cut in cuts])
-    live = organ.uncut.rim_part[organ.live_facets]
+    live = organ.uncut.rim.parts[organ.live_facets]
     part = window(organ.mesh, path, radius, live)
-    sub = embed(part.mesh, cuts)
-    sub = with_rim(sub, _live_rim(organ, part, sub))
-    table = enrich(part.mesh, sub, tip_enrichment, tip_radius_mm)
+    split = embed(part.mesh, cuts)
+    split = with_rim(split, _live_rim(organ, part, split))
+    table = enrich(part.mesh, split, tip_enrichment, tip_radius_mm)
     # The pieces of a node on the border join outside of the window.
     spurious = (table.kind == HEAVISIDE) & part.border[table.node]
     own = np.where(spurious, table.node, np.arange(table.n_rows))
     table = replace(table, dof=own[table.dof])
-    _refuse_without_lips(organ, cuts, sub)
-    _refuse_through(sub, table)
-    return Space(part.mesh, sub, table), part
+    _refuse_without_lips(organ, cuts, split)
+    _refuse_through(split, table)
+    return Space(part.mesh, split, table), part
 
 
-def _live_rim(organ, part, sub):
+def _live_rim(organ, part, split):
     """Facets (b,) bool of the window's rim that are live facets of the organ, and not the window's own border."""
-    cell = sub.part_cell[sub.rim_part]
-    offset = sub.rim_ends.mean(axis=1)[:, None] - part.mesh.corners[cell][:, [1, 2, 0]]
+    cell = split.cell[split.rim.parts]
+    offset = split.rim.facets.mean(axis=1)[:, None] - part.mesh.corners[cell][:, [1, 2, 0]]
     depth = np.abs(np.einsum("bai,bai->ba", part.mesh.gradients[cell], offset))
     facet = organ.facet_number[part.cells[cell], np.argmin(depth, axis=1)]
     return (facet >= 0) & organ.live_facets[facet]
 
 
-def _refuse_without_lips(organ, cuts, sub):
+def _refuse_without_lips(organ, cuts, split):
     """A cut within 1e-3 h of the outline is snapped onto it, where it cuts nothing."""
     for k, cut in enumerate(cuts):
-        lost = cut.length - np.diff(sub.lip_arc[sub.lip_cut == k], axis=1).sum()
+        lost = cut.length - np.diff(split.lips.arc[split.lips.cut == k], axis=1).sum()
         if lost > 0.1 * min(cut.length, organ.mesh.sizes.min()):
             raise XfemnavError(
                 "E305",
@@ -190,9 +191,9 @@ def _refuse_without_lips(organ, cuts, sub):
             )
 
 
-def _refuse_through(sub: Subcells, table: Enrichment):
+def _refuse_through(split: Parts, table: Enrichment):
     """The parts beside the lips hang together around the tips, or else the cut takes something off."""
-    if len(np.unique(table.body[sub.lip_parts])) > 1:
+    if len(np.unique(table.body[split.lips.parts])) > 1:
         raise CutThrough
 
 
@@ -224,7 +225,7 @@ def too_stiff() -> XfemnavError:
 
 def _plain(mesh, material, cells, nodes):
     """Stiffness (2 k, 2 k) kPa of uncut `cells` (c,) on nodes (k,)."""
-    K_c = plain_blocks(mesh.gradients[cells], mesh.areas[cells], material.stiffness_in(cells))
+    K_c = plain_blocks(mesh.gradients[cells], mesh.volumes[cells], material.stiffness_in(cells))
     number, n = np.empty(len(mesh.points), dtype=int), 2 * len(nodes)
     number[nodes] = np.arange(len(nodes))
     dof = (2 * number[mesh.cells[cells]][:, :, None] + np.arange(2)).reshape(-1, 6)

@@ -104,7 +104,7 @@ class LipModes:
     @cached_property
     def contacts(self) -> Contacts:
         """Conditions that lips do not pass through each other, where not both are held."""
-        removed = np.zeros(self.incision.space.subcells.n_parts, dtype=bool)
+        removed = np.zeros(self.incision.space.parts.n_parts, dtype=bool)
         return lip_contacts(self.incision.space, self.blades, self.spans, removed)
 
     @cached_property

@@ -87,32 +87,32 @@ class LipQuadrature:
 
 def lip_quadrature(space: Space, cut: int, side: int, span, breaks=(), n: int = 4) -> LipQuadrature:
     """n Gauss points on each piece of a lip inside `span` (from, to) mm; pieces end at cell edges and at `breaks`."""
-    sub = space.subcells
-    facets = np.flatnonzero(sub.lip_cut == cut)
-    cuts = np.unique(np.concatenate([sub.lip_arc[facets].ravel(), np.asarray(breaks, float), span]))
+    split = space.parts
+    facets = np.flatnonzero(split.lips.cut == cut)
+    cuts = np.unique(np.concatenate([split.lips.arc[facets].ravel(), np.asarray(breaks, float), span]))
     cuts = cuts[(cuts >= span[0]) & (cuts <= span[1])]
     middle = (cuts[1:] + cuts[:-1]) / 2
-    order = facets[np.argsort(sub.lip_arc[facets, 0])]
-    facet = order[np.clip(np.searchsorted(sub.lip_arc[order, 0], middle) - 1, 0, len(order) - 1)]
-    on = (middle > sub.lip_arc[facet, 0]) & (middle < sub.lip_arc[facet, 1]) & (np.diff(cuts) > 0)
+    order = facets[np.argsort(split.lips.arc[facets, 0])]
+    facet = order[np.clip(np.searchsorted(split.lips.arc[order, 0], middle) - 1, 0, len(order) - 1)]
+    on = (middle > split.lips.arc[facet, 0]) & (middle < split.lips.arc[facet, 1]) & (np.diff(cuts) > 0)
     low, high, facet = cuts[:-1][on], cuts[1:][on], facet[on]
     t, w = gauss(n)
     arc = (low[:, None] + (high - low)[:, None] * (t + 1) / 2).ravel()
     weights = ((high - low)[:, None] * w / 2).ravel()
     facet = np.repeat(facet, n)
-    (a0, a1), ends = sub.lip_arc[facet].T, sub.lip_ends[facet]
+    (a0, a1), ends = split.lips.arc[facet].T, split.lips.facets[facet]
     fraction = ((arc - a0) / (a1 - a0))[:, None]
     points = (1 - fraction) * ends[:, 0] + fraction * ends[:, 1]
     travel = ends[:, 1] - ends[:, 0]
     travel /= np.linalg.norm(travel, axis=1)[:, None]
     normals = np.stack([-travel[:, 1], travel[:, 0]], axis=1)
     own = 0 if side == LEFT else 1
-    return LipQuadrature(points, weights, arc, sub.lip_parts[facet, own], sub.lip_parts[facet, 1 - own], normals)
+    return LipQuadrature(points, weights, arc, split.lips.parts[facet, own], split.lips.parts[facet, 1 - own], normals)
 
 
 def held_length(space: Space, cut: int, span) -> float:
     """Length mm of the lips of a cut inside `span` (from, to) mm."""
-    return float(np.diff(np.clip(space.subcells.lip_arc[space.subcells.lip_cut == cut], *span)).sum())
+    return float(np.diff(np.clip(space.parts.lips.arc[space.parts.lips.cut == cut], *span)).sum())
 
 
 def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tuple[float, float]:
@@ -122,19 +122,19 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
     Where a resection took the tissue of the cut, the blade holds what is left. Raises XfemnavError E402 when that is
     nothing.
     """
-    sub, k = space.subcells, retraction.cut
-    arcs = sub.lip_arc[sub.lip_cut == k]
+    split, k = space.parts, retraction.cut
+    arcs = split.lips.arc[split.lips.cut == k]
     if not len(arcs):
         raise XfemnavError("E402", f"cut '{cuts[k].name}' has no tissue on its two sides, so no blade can hold it.")
-    end = float(np.linalg.norm(np.diff(sub.paths[k], axis=0), axis=1).sum())
+    end = float(np.linalg.norm(np.diff(split.paths[k], axis=0), axis=1).sum())
     asked = (np.asarray(retraction.blade if retraction.blade is not None else (0.0, 1.0)) * end).tolist()
     start, stop = asked
     for tip_end, is_last in ((-1, True), (0, False)):
-        if not ((sub.tip_cut == k) & (sub.tip_end == tip_end)).any():
+        if not ((split.fronts.cut == k) & (split.fronts.end == tip_end)).any():
             continue
-        facet = np.flatnonzero(sub.lip_cut == k)
-        facet = facet[np.argmax(sub.lip_arc[facet, 1])] if is_last else facet[np.argmin(sub.lip_arc[facet, 0])]
-        margin = 2 * float(space.mesh.sizes[sub.part_cell[sub.lip_parts[facet]]].max())
+        facet = np.flatnonzero(split.lips.cut == k)
+        facet = facet[np.argmax(split.lips.arc[facet, 1])] if is_last else facet[np.argmin(split.lips.arc[facet, 0])]
+        margin = 2 * float(space.mesh.sizes[split.cell[split.lips.parts[facet]]].max())
         limit = end - margin if is_last else margin
         start, stop = (start, min(stop, limit)) if is_last else (max(start, limit), stop)
     if stop - start <= 1e-9:
@@ -176,11 +176,11 @@ def mortar_rows(space: Space, retraction: Retraction, span, group: int) -> Const
 
 def knots_along(space, cut, span, spacing=2.0):
     """Ends of the hats: `spacing` local element sizes apart, or a little more."""
-    sub = space.subcells
-    facets = np.flatnonzero(sub.lip_cut == cut)
-    facets = facets[np.argsort(sub.lip_arc[facets, 0])]
-    h = space.mesh.sizes[sub.part_cell[sub.lip_parts[facets]]].mean(axis=1)
-    low, high = np.clip(sub.lip_arc[facets], *span).T
+    split = space.parts
+    facets = np.flatnonzero(split.lips.cut == cut)
+    facets = facets[np.argsort(split.lips.arc[facets, 0])]
+    h = space.mesh.sizes[split.cell[split.lips.parts[facets]]].mean(axis=1)
+    low, high = np.clip(split.lips.arc[facets], *span).T
     count = np.concatenate([[0.0], np.cumsum((high - low) / (spacing * h))])
     arc = np.concatenate([low[:1], high])
     n = max(1, int(np.floor(count[-1] + 1e-9)))
@@ -199,17 +199,17 @@ def crossings(space: Space, cut: int, side: int, hold_tip: bool = False) -> tupl
 
     The crossings of the cells that hold a tip are left out, as in the paper, unless `hold_tip`.
     """
-    sub = space.subcells
-    facets = np.flatnonzero(sub.lip_cut == cut)
-    tip_cells = sub.part_cell[sub.tip_touch[np.isin(sub.tip_touch[:, 0], np.flatnonzero(sub.tip_cut == cut)), 1]]
-    arc, points = sub.lip_arc[facets].ravel(), sub.lip_ends[facets].reshape(-1, 2)
-    parts = np.repeat(sub.lip_parts[facets, 0 if side == LEFT else 1], 2)
-    keep = sub.lip_on_edge[facets].ravel().copy()
-    about_tip = np.isin(sub.part_cell[sub.lip_parts[facets]], tip_cells).any(axis=1)
-    tip_arcs = sub.lip_arc[facets[about_tip]].ravel()
+    split = space.parts
+    facets = np.flatnonzero(split.lips.cut == cut)
+    tip_cells = split.cell[split.touch[np.isin(split.touch[:, 0], np.flatnonzero(split.fronts.cut == cut)), 1]]
+    arc, points = split.lips.arc[facets].ravel(), split.lips.facets[facets].reshape(-1, 2)
+    parts = np.repeat(split.lips.parts[facets, 0 if side == LEFT else 1], 2)
+    keep = split.lips.on_face[facets].ravel().copy()
+    about_tip = np.isin(split.cell[split.lips.parts[facets]], tip_cells).any(axis=1)
+    tip_arcs = split.lips.arc[facets[about_tip]].ravel()
     if not hold_tip and len(tip_arcs):
         keep &= np.abs(arc[:, None] - tip_arcs).min(axis=1) > 1e-9
-    at_tip = (np.linalg.norm(points[:, None] - sub.tips, axis=2) < 1e-9).any(axis=1)
+    at_tip = (np.linalg.norm(points[:, None] - split.fronts.at, axis=2) < 1e-9).any(axis=1)
     keep &= ~at_tip
     _, first = np.unique(np.round(arc[keep], 9), return_index=True)
     return points[keep][first], arc[keep][first], parts[keep][first]
@@ -225,7 +225,7 @@ def pointwise_rows(space: Space, retraction: Retraction, span, group: int, hold_
             "a blade holds no place where its cut crosses a mesh edge, so pointwise conditions hold nothing; use a "
             "longer blade, smaller elements, or ⟦lip_constraint=mortar⟧.",
         )
-    path = space.subcells.paths[retraction.cut]
+    path = space.parts.paths[retraction.cut]
     ends = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     segment = np.clip(np.searchsorted(ends, arc[held], side="right") - 1, 0, len(path) - 2)
     given = retraction.displacement(left_normals(path)[segment])

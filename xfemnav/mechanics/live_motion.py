@@ -39,14 +39,14 @@ class Soup:
     def _pieces(self):
         """The window's cells (w,) bool whose motion is not that of their nodes; their triangles, and parts of these."""
         space = self.incision.space
-        sub, table = space.subcells, space.enrichment
+        split, table = space.parts, space.enrichment
         cut = (table.dof >= len(space.mesh.points)).any(axis=1)
         cut[table.entry_part] = True
         cut[len(space.mesh.cells) :] = True
         cells = np.zeros(len(space.mesh.cells), dtype=bool)
-        cells[sub.part_cell[cut]] = True
+        cells[split.cell[cut]] = True
         rest, part = graded_triangles(space)
-        chosen = cells[sub.part_cell[part]]
+        chosen = cells[split.cell[part]]
         return cells, rest[chosen], part[chosen]
 
     @cached_property

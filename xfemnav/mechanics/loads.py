@@ -48,16 +48,16 @@ class Pressure:
 
 def dead_loads(space: Space, gravity: Gravity | None, pressures: tuple[Pressure, ...], resections=()) -> np.ndarray:
     """Nodal forces (n_dof,) mN per mm of thickness of the weight and of all pressures."""
-    load, sub = np.zeros(space.enrichment.n_dof), space.subcells
+    load, split = np.zeros(space.enrichment.n_dof), space.parts
     if gravity is not None:
         load += weight_load(space, gravity)
     for pressure in pressures:
         if pressure.resection is None:
-            load += pressure_load(space, sub.rim_ends, sub.rim_part, pressure.kpa)
+            load += pressure_load(space, split.rim.facets, split.rim.parts, pressure.kpa)
         else:
             k = pressure.resection
-            own = wall_of(sub, resections[k], k, 4 * SNAP * space.mesh.sizes[sub.part_cell[sub.wall_part]])
-            load += pressure_load(space, sub.wall_ends[own], sub.wall_part[own], pressure.kpa)
+            own = wall_of(split.walls, resections[k], k, 4 * SNAP * space.mesh.sizes[split.cell[split.walls.parts]])
+            load += pressure_load(space, split.walls.facets[own], split.walls.parts[own], pressure.kpa)
     return load
 
 
@@ -67,14 +67,14 @@ def weight_load(space: Space, gravity: Gravity) -> np.ndarray:
     Plain and Heaviside functions are linear on each triangle, so one point is exact; the level of a fluid is followed
     to the triangle.
     """
-    sub = space.subcells
-    left, about_tip = ~sub.removed[sub.part], np.isin(sub.part, space.branch_parts)
+    split = space.parts
+    left, about_tip = ~split.removed[split.part], np.isin(split.part, space.branch_parts)
     plain, about_tip = left & ~about_tip, left & about_tip
-    points, weights, parts = sub.corners[plain].mean(axis=1), sub.areas[plain], sub.part[plain]
+    points, weights, parts = split.corners[plain].mean(axis=1), split.volumes[plain], split.part[plain]
     if about_tip.any():
-        at, w, owner = tip_rule(sub.corners[about_tip], sub.tips)
+        at, w, owner = tip_rule(split.corners[about_tip], split.fronts.at)
         points, weights = np.concatenate([points, at]), np.concatenate([weights, w])
-        parts = np.concatenate([parts, sub.part[about_tip][owner]])
+        parts = np.concatenate([parts, split.part[about_tip][owner]])
     return (space.basis_in(points, parts).T @ (weights[:, None] * gravity.force(points))).ravel()
 
 

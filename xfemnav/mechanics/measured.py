@@ -26,7 +26,7 @@ def measured_at(space: Space, rim: Rim, measured, pulled=()) -> tuple[np.ndarray
     the numbers of such cuts) or the points have moved apart: then nothing is known up to the last point of each lip.
     Raises XfemnavError E408 when the measured points lie off the outline.
     """
-    sub, mesh = space.subcells, space.mesh
+    split, mesh = space.parts, space.mesh
     if measured.ndim != 2 or measured.shape[1] not in (4, 5) or not np.isfinite(measured[:, :4]).all():
         raise XfemnavError("E408", "measured boundary displacements need the columns x,y,ux,uy (and side), all finite.")
     outline = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
@@ -36,7 +36,7 @@ def measured_at(space: Space, rim: Rim, measured, pulled=()) -> tuple[np.ndarray
         raise XfemnavError(
             "E408", f"measured point ({x:.1f}, {y:.1f}) mm is {off.max():.1f} mm from the outline; check its frame."
         )
-    mouths, entering, cut = _mouth_arcs(sub, outline)
+    mouths, entering, cut = _mouth_arcs(split, outline)
     arc = shapely.line_locate_point(outline, shapely.points(measured[:, :2]))
     if measured.shape[1] == 5:
         arc = _beside_mouth(arc, measured[:, 4], mouths, entering, outline.length)
@@ -111,12 +111,12 @@ def _signed(along, total):
     return np.mod(along + total / 2, total) - total / 2
 
 
-def _mouth_arcs(sub, outline):
+def _mouth_arcs(split, outline):
     """Every place where a cut meets the outline: position (m,) mm along it, +1 if the cut enters, -1 if it leaves, and
     the cut's number."""
-    ends = np.array([path[end] for path in sub.paths for end in (0, -1)]).reshape(-1, 2)
+    ends = np.array([path[end] for path in split.paths for end in (0, -1)]).reshape(-1, 2)
     on = outline.distance(shapely.points(ends)) < SAME_MM
-    sense, cut = np.tile([1, -1], len(sub.paths)), np.repeat(np.arange(len(sub.paths)), 2)
+    sense, cut = np.tile([1, -1], len(split.paths)), np.repeat(np.arange(len(split.paths)), 2)
     return shapely.line_locate_point(outline, shapely.points(ends[on])), sense[on], cut[on]
 
 

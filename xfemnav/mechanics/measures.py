@@ -49,7 +49,7 @@ class Measures:
 
 def measure(problem, solution) -> Measures:
     """The measures of a problem's solution."""
-    young = problem.material.young_in(problem.subcells.part_cell[solution.part])
+    young = problem.material.young_in(problem.parts.cell[solution.part])
     areas, size = solution.rest_areas, principal_size(solution.strain)
     typical = exceeded(young, areas, 0.5 * areas.sum())
     main = young >= SOFT * typical

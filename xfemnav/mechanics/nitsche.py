@@ -56,12 +56,12 @@ def _lip_operators(space, material, retraction, span):
     q = lip_quadrature(space, retraction.cut, retraction.side, span)
     B = vector_rows(space.basis_in(q.points, q.parts), np.zeros((len(q.points), 2)), SKULL).C
     m = -retraction.side * q.normals
-    area = np.bincount(space.subcells.part, space.subcells.areas, space.subcells.n_parts)
-    length = np.bincount(q.parts, q.weights, space.subcells.n_parts)
-    cell = space.subcells.part_cell[q.parts]
+    area = np.bincount(space.parts.part, space.parts.volumes, space.parts.n_parts)
+    length = np.bincount(q.parts, q.weights, space.parts.n_parts)
+    cell = space.parts.cell[q.parts]
     D = material.stiffness_in(cell)
     stress = stress_matrices(strain_matrices(space, q.points, q.parts), D)
-    alone = (area[q.parts] < SMALL_PART * space.mesh.areas[cell]) | np.isin(q.parts, space.branch_parts)
+    alone = (area[q.parts] < SMALL_PART * space.mesh.volumes[cell]) | np.isin(q.parts, space.branch_parts)
     beta = np.where(alone, 2 / space.mesh.sizes[cell], GAMMA * length[q.parts] / area[q.parts]) * D[:, 0, 0]
     # Cauchy: t_x = s_xx m_x + s_xy m_y, t_y = s_xy m_x + s_yy m_y; none where the penalty stands alone.
     mx, my = (m * ~alone[:, None]).T[:, :, None]

@@ -124,7 +124,7 @@ def skull_conditions(
     n_dof = space.enrichment.n_dof
     rim = rim_points(space)
     kinds, gaps = facet_kinds(space, skull.kind, skull.gap_mm, skull.arcs)
-    ends = skull.ends(space.subcells.rim_ends.mean(axis=1))
+    ends = skull.ends(space.parts.rim.facets.mean(axis=1))
     kinds[ends] = "fixed"
     known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
     if measured is not None:
@@ -154,7 +154,7 @@ class _Depth:
 
     def __init__(self, space, kinds, craniotomy_mm, mouths):
         loose = np.isin(kinds, ("free", "contact"))
-        self.open = shapely.MultiLineString(list(space.subcells.rim_ends[loose])) if loose.any() else None
+        self.open = shapely.MultiLineString(list(space.parts.rim.facets[loose])) if loose.any() else None
         self.craniotomy_mm, self.mouths = craniotomy_mm, mouths
 
     def __call__(self, points):
@@ -236,8 +236,8 @@ def _springs(space, skull, depth, kinds, material, unknown):
     where it should be complete but a facet's end is not rigid, it gets the penalty 1.5 M / h, M the P-wave modulus.
     Only facets that are `unknown` (b,): the others move as measured.
     """
-    sub = space.subcells
-    a, b = sub.rim_ends.swapaxes(0, 1)
+    split = space.parts
+    a, b = split.rim.facets.swapaxes(0, 1)
     ends = np.stack([depth(a), depth(b)])
     rigid = _rigid_from(skull, np.linalg.norm(b - a, axis=1))
     on_the_ramp = (ends.min(axis=0) < rigid) & (ends.max(axis=0) > 0)
@@ -247,7 +247,7 @@ def _springs(space, skull, depth, kinds, material, unknown):
     rim, weights = rim_quadrature(space, near)
     distance = depth(rim.points)
     x = np.clip(distance / skull.ramp_mm, 0, 0.999) if skull.ramp_mm > 0 else np.zeros(len(distance))
-    cell = sub.part_cell[rim.parts]
+    cell = split.cell[rim.parts]
     beyond = STRADDLE_PENALTY * material.stiffness_in(cell)[:, 0, 0] / space.mesh.sizes[cell]
     k = weights * np.where(distance >= skull.ramp_mm, beyond, material.young_in(cell) / RAMP_STIFFNESS_MM * x / (1 - x))
     slides = kinds[rim.facet] == "sliding"
@@ -275,12 +275,12 @@ def _drawn(space, measured, weight, pulled, known, material):
     """
     if weight is not None and not 0 < weight < np.inf:
         raise XfemnavError("E408", f"measured displacements have the weight {weight:g} kPa/mm; give a positive number.")
-    b = len(space.subcells.rim_part)
+    b = len(space.parts.rim.parts)
     facets = np.arange(b) if weight is not None else np.flatnonzero(~(known[:b] & known[b : 2 * b]))
     rim, weights = rim_quadrature(space, facets, pieces=2 if weight is not None else 8)
     also, values = measured_at(space, rim, measured, pulled)
     refuse_nothing(also if weight is not None else np.concatenate([known, also]))
-    cell = space.subcells.part_cell[rim.parts]
+    cell = space.parts.cell[rim.parts]
     penalty = STRADDLE_PENALTY * material.stiffness_in(cell)[:, 0, 0] / space.mesh.sizes[cell]
     k = (weight if weight is not None else penalty) * weights * also
     load = space.basis_in(rim.points, rim.parts).T @ (k[:, None] * values)
@@ -292,4 +292,4 @@ def _weak(space, facets, material):
     if not len(facets):
         return csr_array((space.enrichment.n_dof,) * 2)
     rim, weights = rim_quadrature(space, facets, pieces=1, n=2)
-    return _spring_matrix(space, rim, WEAK * weights * material.young_in(space.subcells.part_cell[rim.parts]))
+    return _spring_matrix(space, rim, WEAK * weights * material.young_in(space.parts.cell[rim.parts]))

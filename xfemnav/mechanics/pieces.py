@@ -50,15 +50,15 @@ def sort_out(
     """
     if loose not in LOOSE:
         raise ValueError(f"loose is {loose!r}, not one of {LOOSE}")
-    table, sub = space.enrichment, space.subcells
-    area = np.bincount(table.body, np.bincount(sub.part, sub.areas, sub.n_parts))
-    bodies = np.unique(table.body[~sub.removed])
+    table, split = space.enrichment, space.parts
+    area = np.bincount(table.body, np.bincount(split.part, split.volumes, split.n_parts))
+    bodies = np.unique(table.body[~split.removed])
     bodies = bodies[np.argsort(-area[bodies], kind="stable")]
     motions, work = _rigid_work(space, constraints, springs, bodies)
-    fates, removed, held, crumbs = ["fixed"] * len(bodies), np.zeros(sub.n_parts, dtype=bool), {}, []
+    fates, removed, held, crumbs = ["fixed"] * len(bodies), np.zeros(split.n_parts, dtype=bool), {}, []
     while (k := _smallest_free(work)) is not None:
         parts, free = table.body == bodies[k], _free(work, k)
-        is_crumb = area[bodies[k]] < np.median(space.mesh.areas)
+        is_crumb = area[bodies[k]] < np.median(space.mesh.volumes)
         if "fixed" not in fates[1:] and k == 0:
             raise XfemnavError(
                 "E406",
@@ -68,7 +68,7 @@ def sort_out(
         fates[k] = "removed" if is_crumb or (loose == "remove" and k) else "held" if loose == "hold" else "refused"
         what = f"{area[bodies[k]]:.3g} mm2 ({100 * area[bodies[k]] / area[bodies].sum():.2g} % of the tissue)"
         if is_crumb:
-            crumbs.append(f"{what} about {_mm(_place(sub, parts))}")
+            crumbs.append(f"{what} about {_mm(_place(split, parts))}")
         elif k not in held:
             _tell(space, cuts, resections, retractions, parts, what, fates[k], loose == "remove")
         if fates[k] == "held":  # perhaps again: a motion of several pieces may ask for more of this one
@@ -78,13 +78,13 @@ def sort_out(
         work[own, own] += free @ free.T if fates[k] == "held" else np.eye(3)
     pieces = []
     for k, body in enumerate(bodies):
-        place = _place(sub, table.body == body)
+        place = _place(split, table.body == body)
         name = f"piece about {_mm(place)}" if k else "organ"
         pieces.append(Piece(name, float(area[body]), tuple(place.tolist()), fates[k]))
     if crumbs:
         more = f", and {len(crumbs) - 1} smaller ones" if len(crumbs) > 1 else ""
         warn("W311", f"a loose piece of {crumbs[-1]}{more}, under the size of an element, was cut free and removed.")
-    conditions = stack([constraints, at_rest(table, sub.removed)], table.n_dof)
+    conditions = stack([constraints, at_rest(table, split.removed)], table.n_dof)
     rows = [
         _held_at_mean(space, table.body == bodies[k], motions[:, 3 * k : 3 * k + 3] @ _span(free))
         for k, free in held.items()
@@ -95,12 +95,12 @@ def sort_out(
 
 def _tell(space, cuts, resections, retractions, parts, what, fate, removes):
     """Refuse a loose piece, or warn of what was done to it. `removes`: loose pieces go, but for the largest."""
-    sub = space.subcells
-    place = _mm(_place(sub, parts))
-    sides = {(sub.lip_cut[lip], side) for side, column in ((1, 0), (-1, 1))
-             for lip in np.flatnonzero(parts[sub.lip_parts[:, column]])}
+    split = space.parts
+    place = _mm(_place(split, parts))
+    sides = {(split.lips.cut[lip], side) for side, column in ((1, 0), (-1, 1))
+             for lip in np.flatnonzero(parts[split.lips.parts[:, column]])}
     names = [f"cut '{cuts[k].name}'" for k in sorted({cut for cut, _ in sides})]
-    holes = np.unique(sub.wall_resection[parts[sub.wall_part]])
+    holes = np.unique(split.walls.source[parts[split.walls.parts]])
     names += [f"resection '{resections[k].name}'" for k in holes[holes >= 0]]
     by = " and ".join(names) or "the mesh"
     pulled = any((r.cut, r.side) in sides and not r.holds for r in retractions)
@@ -134,8 +134,8 @@ def _rigid_work(space, constraints, springs, bodies):
     One condition may act on several bodies, a mean over a stretch of lip that crossings have cut into pieces: it takes
     one motion from all of them together.
     """
-    table, mesh, sub = space.enrichment, space.mesh, space.subcells
-    area = np.bincount(table.body, np.bincount(sub.part, sub.areas, sub.n_parts))
+    table, mesh, split = space.enrichment, space.mesh, space.parts
+    area = np.bincount(table.body, np.bincount(split.part, split.volumes, split.n_parts))
     row_body = np.full(table.n_rows, -1)
     row_body[table.dof] = table.body[:, None]
     row_body[table.kind >= BRANCH] = -1
@@ -154,7 +154,7 @@ def _rigid_work(space, constraints, springs, bodies):
             columns.append(np.full(2 * len(own), 3 * k + i))
             data.append(np.stack([u, v], axis=1).ravel())
         # A crumb on the first, soft springs of the skull's ramp would be thrown about; a larger body meets others.
-        grip = stiff.max() if area[body] < np.median(mesh.areas) else stiff[own].max()
+        grip = stiff.max() if area[body] < np.median(mesh.volumes) else stiff[own].max()
         scale[3 * k : 3 * k + 3] = np.sqrt(max(grip, 1e-300))
     at = (np.concatenate(rows), np.concatenate(columns))
     motions = csr_array((np.concatenate(data), at), (table.n_dof, 3 * len(bodies)))
@@ -200,16 +200,16 @@ def _held_at_mean(space, parts, motions):
 
 def _rule(space, parts):
     """Points (q, 2) mm, weights (q,) mm^2 and parts (q,): exact for a function times a rigid motion, but at tips."""
-    sub = space.subcells
-    about_tip = np.isin(sub.part, space.branch_parts)
-    plain, about_tip = parts[sub.part] & ~about_tip, parts[sub.part] & about_tip
-    corners, area, part = sub.corners[plain], sub.areas[plain], sub.part[plain]
+    split = space.parts
+    about_tip = np.isin(split.part, space.branch_parts)
+    plain, about_tip = parts[split.part] & ~about_tip, parts[split.part] & about_tip
+    corners, area, part = split.corners[plain], split.volumes[plain], split.part[plain]
     points = ((corners + corners[:, [1, 2, 0]]) / 2).reshape(-1, 2)
     weights, owner = np.repeat(area / 3, 3), np.repeat(part, 3)
     if about_tip.any():
-        at, w, triangle = tip_rule(sub.corners[about_tip], sub.tips)
+        at, w, triangle = tip_rule(split.corners[about_tip], split.fronts.at)
         points, weights = np.concatenate([points, at]), np.concatenate([weights, w])
-        owner = np.concatenate([owner, sub.part[about_tip][triangle]])
+        owner = np.concatenate([owner, split.part[about_tip][triangle]])
     return points, weights, owner
 
 
@@ -220,10 +220,10 @@ def at_rest(table, parts) -> Constraints:
     return vector_rows(pick, np.zeros((len(rows), 2)), SKULL)
 
 
-def _place(sub, parts):
+def _place(split, parts):
     """Centre (2,) mm of the largest triangle of some parts: a place inside them."""
-    own = np.flatnonzero(parts[sub.part])
-    return sub.corners[own[np.argmax(sub.areas[own])]].mean(axis=0)
+    own = np.flatnonzero(parts[split.part])
+    return split.corners[own[np.argmax(split.volumes[own])]].mean(axis=0)
 
 
 def _mm(point):

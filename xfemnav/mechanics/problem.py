@@ -10,10 +10,11 @@ from scipy.sparse import csr_array
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh, frozen_array
+from xfemnav.geometry.parts import Parts
 from xfemnav.geometry.removal import take_out
 from xfemnav.geometry.resection import Resection
 from xfemnav.geometry.snapping import SNAP
-from xfemnav.geometry.subcells import Subcells, embed
+from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.bare import Bare, without_blades
 from xfemnav.mechanics.constraints import Constraints, stack
 from xfemnav.mechanics.contact import join, lip_contacts
@@ -76,7 +77,7 @@ class Problem:
         object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
         object.__setattr__(self, "springs", csr_array(self.springs))
         object.__setattr__(self, "load", frozen_array(self.load, float, (self.space.enrichment.n_dof,), "load"))
-        object.__setattr__(self, "removed", frozen_array(self.removed, bool, (self.space.subcells.n_parts,), "removed"))
+        object.__setattr__(self, "removed", frozen_array(self.removed, bool, (self.space.parts.n_parts,), "removed"))
         if self.under is not None:
             object.__setattr__(self, "under", frozen_array(self.under, float, self.load.shape, "under"))
 
@@ -110,9 +111,9 @@ class Problem:
         return self.space.mesh
 
     @property
-    def subcells(self) -> Subcells:
+    def parts(self) -> Parts:
         """What the cuts do to the mesh."""
-        return self.space.subcells
+        return self.space.parts
 
     @property
     def enrichment(self) -> Enrichment:
@@ -186,11 +187,11 @@ def pose(
             f"Poisson's ratio {poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
             "or displacement may be over 5 % off; use 0.45 to 0.48, or smaller elements.",
         )
-    subcells, taken = embed(mesh, cuts, resections), []
-    space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
+    split, taken = embed(mesh, cuts, resections), []
+    space = Space(mesh, split, enrich(mesh, split, tip_enrichment, tip_radius_mm))
     _refuse_cuts_without_lips(space, cuts, resections)
     _warn_of_lost_cuts(space, cuts)
-    mouths = [path[0] for path, cut in zip(subcells.paths, cuts) if cut.mouth and cut.craniotomy]
+    mouths = [path[0] for path, cut in zip(split.paths, cuts) if cut.mouth and cut.craniotomy]
     mouths = np.array([*mouths, *craniotomies]).reshape(-1, 2)
     while True:  # again without the loose pieces, until there are none
         n_dof = space.enrichment.n_dof
@@ -217,11 +218,11 @@ def pose(
         if not gone.any():
             break
         taken.extend(piece for piece in pieces if piece.fate == "removed")
-        subcells = take_out(subcells, gone)
-        space = Space(mesh, subcells, enrich(mesh, subcells, tip_enrichment, tip_radius_mm))
+        split = take_out(split, gone)
+        space = Space(mesh, split, enrich(mesh, split, tip_enrichment, tip_radius_mm))
     contacts = [outline.contacts]
     if lips == "contact":
-        contacts.append(lip_contacts(space, retractions, spans, subcells.removed))
+        contacts.append(lip_contacts(space, retractions, spans, split.removed))
     contacts, bare = join(contacts, n_dof), None
     if any(r.from_loads for r in retractions) and (dead.any() or outline.load.any() or outline.constraints.d.any()):
         if boundary_displacement is not None:  # a mouth that no blade opens may be held shut
@@ -246,7 +247,7 @@ def pose(
         constraints,
         springs,
         load,
-        subcells.removed,
+        split.removed,
         tip_enrichment,
         lip_constraint,
         hold_tip,
@@ -265,11 +266,11 @@ def _refuse_cuts_without_lips(space, cuts, resections):
 
     What lies in a resection, or along its wall, has been cut and taken out.
     """
-    sub = space.subcells
+    split = space.parts
     gone = shapely.union_all([r.region.buffer(4 * SNAP * space.mesh.sizes.max()) for r in resections])
     for k, cut in enumerate(cuts):
-        own = sub.lip_cut == k
-        lost = shapely.LineString(cut.path).difference(gone).length - np.diff(sub.lip_arc[own], axis=1).sum()
+        own = split.lips.cut == k
+        lost = shapely.LineString(cut.path).difference(gone).length - np.diff(split.lips.arc[own], axis=1).sum()
         if lost > 0.1 * min(cut.length, space.mesh.sizes.min()):
             raise XfemnavError(
                 "E305",
@@ -280,17 +281,17 @@ def _refuse_cuts_without_lips(space, cuts, resections):
 
 def _warn_of_lost_cuts(space, cuts):
     """An internal cut inside the support of every node that it touches opens nothing: say so."""
-    table, sub = space.enrichment, space.subcells
+    table, split = space.enrichment, space.parts
     for k, cut in enumerate(cuts):
-        own = sub.lip_cut == k
-        size = space.mesh.sizes[sub.part_cell[sub.lip_parts[own]]].mean() if own.any() else np.inf
+        own = split.lips.cut == k
+        size = space.mesh.sizes[split.cell[split.lips.parts[own]]].mean() if own.any() else np.inf
         if own.any() and not cut.mouth and cut.length < 3 * size:
-            split = (table.dof[sub.lip_parts[own, 0]] != table.dof[sub.lip_parts[own, 1]]).any()
-            branch = np.isin(sub.lip_parts[own], table.entry_part).any() and (table.kind >= BRANCH).any()
+            torn = (table.dof[split.lips.parts[own, 0]] != table.dof[split.lips.parts[own, 1]]).any()
+            branch = np.isin(split.lips.parts[own], table.entry_part).any() and (table.kind >= BRANCH).any()
             warn(
                 "W303",
                 f"internal cut '{cut.name}' is {cut.length:.2f} mm long, under three elements ({size:.2f} mm): "
-                + ("it is resolved coarsely." if split or branch else "it cannot open on this mesh."),
+                + ("it is resolved coarsely." if torn or branch else "it cannot open on this mesh."),
             )
 
 

@@ -38,11 +38,11 @@ def vector_tip_basis(space: Space, material: Material | Tissue) -> csc_array:
     table = space.enrichment
     first = np.flatnonzero(table.kind == BRANCH)
     n_plain = 2 * int((table.kind < BRANCH).sum())
-    sub = space.subcells
+    split = space.parts
     # A tip on an edge between two materials takes the first: the span is a choice, not the law.
-    cells = [sub.part_cell[touched_parts(sub, tip)[0]] for tip in range(len(sub.tips))]
+    cells = [split.cell[touched_parts(split, tip)[0]] for tip in range(len(split.fronts.at))]
     modes = np.array([mode_combinations(material.at(cell).kappa) for cell in cells]).reshape(-1, 2, 4, 2)
-    frames = np.array([tip_frame(travel) for travel in space.subcells.tip_travel]).reshape(-1, 2, 2)
+    frames = np.array([tip_frame(travel) for travel in space.parts.fronts.travel]).reshape(-1, 2, 2)
     blocks = np.einsum("fmlj,fji->flim", modes[table.tip[first]], frames[table.tip[first]])
     rows = 2 * (first[:, None] + np.arange(4))[:, :, None, None] + np.arange(2)[:, None]
     columns = n_plain + 2 * np.arange(len(first))[:, None, None, None] + np.arange(2)

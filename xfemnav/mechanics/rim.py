@@ -26,8 +26,8 @@ class Rim:
 def rim_points(space: Space) -> Rim:
     """Where the outline can be held: both ends of all facets (b of them first, then b), inner points of those with
     branch functions."""
-    branched = np.flatnonzero(np.isin(space.subcells.rim_part, space.branch_parts))
-    every = np.arange(len(space.subcells.rim_part))
+    branched = np.flatnonzero(np.isin(space.parts.rim.parts, space.branch_parts))
+    every = np.arange(len(space.parts.rim.parts))
     fraction = np.repeat([0.0, 1.0, 1 / 3, 2 / 3], [len(every), len(every), len(branched), len(branched)])
     return _rim(space, np.concatenate([every, every, branched, branched]), fraction)
 
@@ -41,9 +41,9 @@ def rim_quadrature(space: Space, facets, pieces: int = 8, n: int = 4) -> tuple[R
 
 
 def _rim(space, facet, fraction):
-    a, b = space.subcells.rim_ends[facet].swapaxes(0, 1)
+    a, b = space.parts.rim.facets[facet].swapaxes(0, 1)
     length = np.linalg.norm(b - a, axis=1)
     d = (b - a) / length[:, None]
     outward = np.stack([d[:, 1], -d[:, 0]], axis=1)  # tissue is on the left
     points = a + fraction[:, None] * (b - a)
-    return Rim(points, space.subcells.rim_part[facet], facet, (a + b) / 2, outward, length)
+    return Rim(points, space.parts.rim.parts[facet], facet, (a + b) / 2, outward, length)

@@ -49,15 +49,15 @@ class _Boundary:
     """
 
     def __init__(self, space, cuts, resections):
-        sub = space.subcells
-        lips = np.concatenate([sub.lip_ends, sub.lip_ends[:, ::-1]])
-        self.ends = np.concatenate([lips, sub.wall_ends, sub.rim_ends])  # tissue on the left of each
-        parts = np.concatenate([sub.lip_parts[:, 0], sub.lip_parts[:, 1], sub.wall_part, sub.rim_part])
-        self.size = space.mesh.sizes[sub.part_cell[parts]]
-        walls = [f"the wall of '{resections[k].name}'" if k >= 0 else "a wall" for k in sub.wall_resection]
-        lips = [f"cut '{cuts[k].name}'" for k in sub.lip_cut]
-        self.name = np.array([*lips, *lips, *walls, *["the outline"] * len(sub.rim_part)])
-        self.asked = len(self.name) - len(sub.rim_part)
+        split = space.parts
+        lips = np.concatenate([split.lips.facets, split.lips.facets[:, ::-1]])
+        self.ends = np.concatenate([lips, split.walls.facets, split.rim.facets])  # tissue on the left of each
+        parts = np.concatenate([split.lips.parts[:, 0], split.lips.parts[:, 1], split.walls.parts, split.rim.parts])
+        self.size = space.mesh.sizes[split.cell[parts]]
+        walls = [f"the wall of '{resections[k].name}'" if k >= 0 else "a wall" for k in split.walls.source]
+        lips = [f"cut '{cuts[k].name}'" for k in split.lips.cut]
+        self.name = np.array([*lips, *lips, *walls, *["the outline"] * len(split.rim.parts)])
+        self.asked = len(self.name) - len(split.rim.parts)
         self.middle, travel = self.ends.mean(axis=1), self.ends[:, 1] - self.ends[:, 0]
         self.length = np.linalg.norm(travel, axis=1)
         self.travel = travel / self.length[:, None]
@@ -106,7 +106,7 @@ def warn_of_slivers(space: Space, cuts, resections, retractions, spans) -> None:
     for retraction, span in zip(retractions, spans):
         span = span[0], min(span[1], cuts[retraction.cut].length)  # of pointwise rows without a blade it has no end
         q = lip_quadrature(space, retraction.cut, retraction.side, span, np.linspace(*span, SAMPLES + 1), n=1)
-        h = float(space.mesh.sizes[space.subcells.part_cell[q.parts]].mean())
+        h = float(space.mesh.sizes[space.parts.cell[q.parts]].mean())
         width = max(2 * h, min(SHRED_WIDTH_HELD.value, np.ptp(space.mesh.points, axis=0).max() / 10))
         firm = _firm(tissue, width)
         behind = shapely.points(q.points + retraction.side * width / 2 * q.normals)
@@ -128,7 +128,7 @@ def _tissue(space, resections):
     organ = shapely.Polygon(space.mesh.points[space.mesh.boundary_loops[0]])
     hair = 1e-3 * float(space.mesh.sizes.min())
     gone = [item.region for item in resections]
-    drawn = (path for path in space.subcells.paths if len(path) > 1)  # of one in a resection nothing is left
+    drawn = (path for path in space.parts.paths if len(path) > 1)  # of one in a resection nothing is left
     gone += [shapely.LineString(path).buffer(hair, cap_style="flat") for path in drawn]
     return organ.difference(shapely.union_all(gone))
 

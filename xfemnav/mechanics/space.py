@@ -11,8 +11,8 @@ import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.geometry.mesh import Mesh
+from xfemnav.geometry.parts import Parts
 from xfemnav.geometry.snapping import SEVER
-from xfemnav.geometry.subcells import Subcells
 from xfemnav.mechanics.branch import branch_functions, branch_gradients, polar
 from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, Enrichment
 
@@ -22,7 +22,7 @@ class Space:
     """A mesh, what the cuts do to it, and the table of basis functions."""
 
     mesh: Mesh
-    subcells: Subcells
+    parts: Parts
     enrichment: Enrichment
 
     def basis_in(self, points, parts) -> csr_array:
@@ -65,13 +65,13 @@ class Space:
         reach = SEVER * float(self.mesh.sizes.min())
         at, triangle = self._tree.query(shapely.points(points), predicate="dwithin", distance=reach)
         triangle = self._left[triangle]
-        candidate = self.subcells.part[triangle]
+        candidate = self.parts.part[triangle]
         lip = self._nearest_lip(points)
         normal = self._lip_normals[lip] if lip is not None else np.zeros((len(points), 2))
-        centre = self.subcells.corners[triangle].mean(axis=1)
+        centre = self.parts.corners[triangle].mean(axis=1)
         # Off the cut every candidate gives the same value; on it, the candidate's side of the lip decides.
         preference = np.einsum("ki,ki->k", centre - points[at], normal[at]) * (side or 0)
-        depth = _depth(self.subcells.corners[triangle], points[at])
+        depth = _depth(self.parts.corners[triangle], points[at])
         order = np.lexsort((-depth, -np.sign(preference) * (np.abs(depth) < reach), at))
         first = order[np.concatenate([[True], np.diff(at[order]) != 0])] if len(order) else order
         found = np.full(len(points), -1)
@@ -82,31 +82,31 @@ class Space:
         return found
 
     def _nearest_lip(self, points):
-        if not len(self.subcells.lip_ends):
+        if not len(self.parts.lips.facets):
             return None
         return self._lip_tree.nearest(shapely.points(points))
 
     @cached_property
     def _left(self):
-        return np.flatnonzero(~self.subcells.removed[self.subcells.part])
+        return np.flatnonzero(~self.parts.removed[self.parts.part])
 
     @cached_property
     def _tree(self):
-        return shapely.STRtree(shapely.polygons(self.subcells.corners[self._left]))
+        return shapely.STRtree(shapely.polygons(self.parts.corners[self._left]))
 
     @cached_property
     def _lip_tree(self):
-        return shapely.STRtree(shapely.linestrings(self.subcells.lip_ends))
+        return shapely.STRtree(shapely.linestrings(self.parts.lips.facets))
 
     @cached_property
     def _lip_normals(self):
-        d = self.subcells.lip_ends[:, 1] - self.subcells.lip_ends[:, 0]
+        d = self.parts.lips.facets[:, 1] - self.parts.lips.facets[:, 0]
         return np.stack([-d[:, 1], d[:, 0]], axis=1) / np.linalg.norm(d, axis=1)[:, None]
 
     @cached_property
     def _entry_start(self):
         """First entry of each part in the table of branch functions, and one past the last (p + 1,)."""
-        return np.searchsorted(self.enrichment.entry_part, np.arange(self.subcells.n_parts + 1))
+        return np.searchsorted(self.enrichment.entry_part, np.arange(self.parts.n_parts + 1))
 
     @cached_property
     def branch_parts(self) -> np.ndarray:
@@ -115,7 +115,7 @@ class Space:
 
     def _hats(self, points, parts):
         """Nodal shape functions: point (3 k,), row (3 k,), value (k, 3), gradient (k, 3, 2)."""
-        cell = self.subcells.part_cell[parts]
+        cell = self.parts.cell[parts]
         gradient = self.mesh.gradients[cell]
         hats = np.einsum("kai,ki->ka", gradient, points - self.mesh.points[self.mesh.cells[cell, 0]])
         hats[:, 0] += 1
@@ -133,7 +133,7 @@ class Space:
         table = self.enrichment
         rows = table.entry_row[entry][:, None] + np.arange(4)
         tip = table.tip[rows[:, 0]]
-        r, theta = polar(points, self.subcells.tips[tip], self.subcells.tip_travel[tip], table.entry_angle[entry])
+        r, theta = polar(points, self.parts.fronts.at[tip], self.parts.fronts.travel[tip], table.entry_angle[entry])
         return rows, branch_functions(r, theta) - table.shift[rows], r, theta
 
     def _ramp(self, values, entry):
@@ -146,7 +146,7 @@ class Space:
         at, rows, hats, gradient = self._hats(points, parts)
         entry, who = self._entries(parts)
         more, f, r, theta = self._branch(points[who], entry)
-        travel = self.subcells.tip_travel[table.tip[more[:, 0]]]
+        travel = self.parts.fronts.travel[table.tip[more[:, 0]]]
         frame = np.stack([travel, np.stack([-travel[:, 1], travel[:, 0]], axis=1)], axis=1)
         df = np.einsum("eli,eij->elj", branch_gradients(np.maximum(r, 1e-300), theta), frame)
         a, ramp = table.entry_node[entry], self._ramp(hats[who], entry)
@@ -181,9 +181,9 @@ class Space:
     def _row_sides(self):
         """H (n_rows,) of the piece of each row: the side of the cut of its largest lip part, 0 away from the cut."""
         side = np.zeros(self.enrichment.n_rows)
-        length = np.linalg.norm(self.subcells.lip_ends[:, 1] - self.subcells.lip_ends[:, 0], axis=1)
+        length = np.linalg.norm(self.parts.lips.facets[:, 1] - self.parts.lips.facets[:, 0], axis=1)
         for column, sign in ((0, 1.0), (1, -1.0)):
-            rows = self.enrichment.dof[self.subcells.lip_parts[:, column]]
+            rows = self.enrichment.dof[self.parts.lips.parts[:, column]]
             np.add.at(side, rows, sign * length[:, None])
         return np.sign(side)
 

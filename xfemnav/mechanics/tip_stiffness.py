@@ -16,7 +16,7 @@ def tip_blocks(space: Space, points, weights, parts, lam, mu) -> tuple[np.ndarra
 
     lam, mu (p,) kPa: Lame's constants of the plane in every part.
     """
-    table, sub = space.enrichment, space.subcells
+    table, split = space.enrichment, space.parts
     order = np.argsort(parts, kind="stable")
     own, start = np.unique(parts[order], return_index=True)
     start = np.append(start, len(order))
@@ -25,14 +25,14 @@ def tip_blocks(space: Space, points, weights, parts, lam, mu) -> tuple[np.ndarra
     count = first[1] - first[0]
     row = table.entry_row[entry]
     tip = table.tip[row]
-    cell = sub.part_cell[own]
+    cell = split.cell[own]
     most = 3 + 4 * int(count.max(initial=0))
     g = np.zeros((len(order), 2 * most))
     _weighted_gradients(
         np.ascontiguousarray(points[order]), weights[order], start,
         space.mesh.gradients[cell], space.mesh.points[space.mesh.cells[cell, 0]],
         np.concatenate([[0], np.cumsum(count)]), table.entry_node[entry], table.entry_angle[entry],
-        table.entry_ramp[entry], tip, sub.tips, sub.tip_travel, table.shift[row[:, None] + np.arange(4)], g,
+        table.entry_ramp[entry], tip, split.fronts.at, split.fronts.travel, table.shift[row[:, None] + np.arange(4)], g,
     )
     M = np.array([each.T @ each for each in np.split(g, start[1:-1])]).reshape(-1, most, 2, most, 2)
     K = lam[own, None, None, None, None] * M

@@ -27,8 +27,8 @@ class Bearings:
         dx, dy = cut.path[-1] - cut.path[0]
         e1, e2, _ = self._slice.axes
         left, right = dx * e2 - dy * e1, dy * e1 - dx * e2
-        return (f"{told}; its left lip lies towards the patient's {towards(left)}, its right lip towards the "
-                f"{towards(right)}")
+        return (f"{told}; the lip on its left lies towards the patient's {towards(left)}, the one on its right towards "
+                f"the {towards(right)}")
 
     def of_resection(self, resection) -> str:
         """The same of a resection: how much it takes, and where from."""

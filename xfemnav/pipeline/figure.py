@@ -158,7 +158,7 @@ def _enrichment(panel, slice, problem, box):
     for cut in problem.cuts:
         _name_lips(panel, cut.path, slice.axes, 24, "black", "white")
     zoom = INSET * width / (INSET_CELLS * h)
-    for tip in problem.subcells.tips[:1] if zoom > 2 else ():
+    for tip in problem.parts.fronts.at[:1] if zoom > 2 else ():
         inset = panel.inset_axes([*_emptiest_corner(panel, box, problem), INSET, INSET], xticks=[], yticks=[], zorder=6)
         _draw_enriched(inset, problem, zoom * h * PANEL_IN / width)
         low, high = tip + np.outer([-0.5, 0.5], INSET * np.ptp(box, axis=0) / zoom)

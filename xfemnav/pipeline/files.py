@@ -84,8 +84,10 @@ def _checked_mesh(name: str, points, cells, min_quality: float) -> Mesh:
         loops = mesh.boundary_loops
     except ValueError as error:
         raise XfemnavError("E209", f"{name}: {error}. Mend the mesh.") from None
-    with np.errstate(all="ignore"):  # of a triangle of no size
-        worst = int(np.argmin(mesh.quality))
+    least = int(np.argmin(mesh.sizes))
+    if mesh.sizes[least] < SAME_MM:
+        raise XfemnavError("E209", f"{name}: triangle {least} is {mesh.sizes[least]:.2g} mm large. Mend the mesh.")
+    worst = int(np.argmin(mesh.quality))
     if not mesh.quality[worst] >= min_quality:
         raise XfemnavError("E209", f"{name}: triangle {worst} has quality {mesh.quality[worst]:.3f}, "
                                    f"below {min_quality}. Mend the mesh.")
@@ -97,8 +99,8 @@ def _checked_mesh(name: str, points, cells, min_quality: float) -> Mesh:
                                    "one is wanted.")
     x, y = points[loops[0]].T
     enclosed = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
-    if not abs(enclosed - mesh.areas.sum()) <= 1e-6 * mesh.areas.sum():
-        raise XfemnavError("E209", f"{name}: triangles overlap ({mesh.areas.sum():.2f} mm2 of triangles inside an "
+    if not abs(enclosed - mesh.volumes.sum()) <= 1e-6 * mesh.volumes.sum():
+        raise XfemnavError("E209", f"{name}: triangles overlap ({mesh.volumes.sum():.2f} mm2 of triangles inside an "
                                    f"outline of {enclosed:.2f} mm2). Mend the mesh.")
     return mesh
 

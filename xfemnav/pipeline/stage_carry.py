@@ -172,7 +172,7 @@ def _motion(inputs):
     from xfemnav.geometry.affine_map import PiecewiseAffineMap
 
     solution, problem = inputs.value("solve"), inputs.value("constrain")
-    return PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
+    return PiecewiseAffineMap(solution.rest, solution.moved, problem.parts.paths)
 
 
 #: Kinds that are no images, and what writes the file of one.

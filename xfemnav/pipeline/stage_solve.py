@@ -99,8 +99,8 @@ def _drawn(slice, problem, solution):
     from xfemnav.geometry.affine_map import PiecewiseAffineMap
     from xfemnav.imaging.points import PointSet
 
-    motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
-    for k, (cut, path) in enumerate(zip(problem.cuts, problem.subcells.paths)):
+    motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.parts.paths)
+    for k, (cut, path) in enumerate(zip(problem.cuts, problem.parts.paths)):
         lips = ((f"{cut.name}, {name} lip now", motion.lip_now(k, side)) for name, side in SIDES)
         for name, points in ((cut.name, path), *lips):
             if len(points) > 1:  # a lip may be resected

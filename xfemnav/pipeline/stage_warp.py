@@ -47,7 +47,7 @@ def lying_twice(overlap, slice, problem, solution):
 
     twice = np.array(overlap)
     if twice.any() and problem.cuts:
-        motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.subcells.paths)
+        motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.parts.paths)
         found = [motion.lip_now(k, side) for k in range(len(problem.cuts)) for side in (1, -1)]
         lips = shapely.MultiLineString([points for points in found if len(points) > 1])
         centres = shapely.points(slice.pixel_centres()[twice])
@@ -100,7 +100,7 @@ def publish(value, inputs, folder):
 
     slice, _ = inputs.value("segment")
     problem, solution = inputs.value("constrain"), inputs.value("solve")
-    lips = lip_labels(value.pull_back, value.cavity, solution.rest, problem.subcells.paths)
+    lips = lip_labels(value.pull_back, value.cavity, solution.rest, problem.parts.paths)
     write_nifti(folder / "updated.nii.gz", to_nifti(slice, value.updated, np.float32))
     write_nifti(folder / "cavity.nii.gz", to_nifti(slice, value.cavity, np.uint8))
     write_nifti(folder / "overlap.nii.gz", to_nifti(slice, _twice(value, inputs), np.uint8))
