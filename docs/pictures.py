@@ -33,7 +33,7 @@ from panels import (
 from PIL import Image
 
 import xfemnav
-from data_synthetic import surgery, tumours
+from xfemnav_examples import surgery, tumours
 
 DOCS = Path(__file__).parent
 OUT = DOCS.parent / "out"
