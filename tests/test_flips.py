@@ -34,7 +34,7 @@ def planted(name: str):
             case "a warning":
                 np.float64(1) / np.float64(0)
             case "memory":
-                np.ones(3_000_000)
+                np.ones(13_000_000)  # more than the allocator keeps for the next one
             case "code":
                 raise XfemnavError("E101", "damaged")
             case "anew":
