@@ -5,11 +5,11 @@ import inspect
 import os
 import subprocess
 import sys
-from html.parser import HTMLParser
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from pages import Tags
 from small import CUT, write
 
 import xfemnav
@@ -115,21 +115,6 @@ def test_the_package_is_the_command(tmp_path, arguments, code, text):
 # What a notebook shows -----------------------------------------------------------------------------------------------
 
 EVIL = "<img src=x onerror=alert(1)>"
-
-
-class Tags(HTMLParser):
-    """All tags of a card with their attributes, and its visible text."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.tags, self.text = [], ""
-        self.feed(page)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_data(self, data):
-        self.text += data
 
 
 @pytest.fixture(scope="module")

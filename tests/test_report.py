@@ -3,7 +3,6 @@
 import copy
 import json
 import os
-from html.parser import HTMLParser
 from io import BytesIO
 from typing import get_args
 from urllib.parse import unquote_to_bytes, urlsplit
@@ -11,6 +10,7 @@ from urllib.parse import unquote_to_bytes, urlsplit
 import numpy as np
 import pytest
 from matplotlib import colormaps
+from pages import Tags
 from PIL import Image
 
 from xfemnav.errors import FAULTS
@@ -57,21 +57,6 @@ def run():
         "verdicts": {"largest_strain": {"value": 0.09, "limit": 0.1, "verdict": "ok"}},
         "warnings": [{"code": "W301", "text": "the cut starts 2.1 mm inside"}],
     }))
-
-
-class Tags(HTMLParser):
-    """All tags of a page with their attributes, and its visible text."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.tags, self.text = [], ""
-        self.feed(page)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_data(self, data):
-        self.text += data
 
 
 def with_every_string(value, text):

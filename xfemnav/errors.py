@@ -269,14 +269,8 @@ FAULTS: dict[str, Fault] = {
 }
 
 
-class XfemnavError(Exception):
-    """A failure with a stable `code` of `FAULTS` and a one-line text: what, where, how to mend it.
-
-    In `text` settings are marked (`xfemnav.naming`); `message`, and the error as text, call them as arguments of Python.
-    An edge that calls them otherwise says so in `names`, or asks for what is `told` there.
-    """
-
-    names: Names | None = None
+class Coded:
+    """What an error and a warning share: a `code` of `FAULTS`, and the `text` with settings marked."""
 
     def __init__(self, code: str, text: str):
         super().__init__(code, text)
@@ -289,6 +283,16 @@ class XfemnavError(Exception):
     def message(self) -> str:
         """The text for users of Python."""
         return said(self.text)
+
+
+class XfemnavError(Coded, Exception):
+    """A failure with a stable `code` of `FAULTS` and a one-line text: what, where, how to mend it.
+
+    In `text` settings are marked (`xfemnav.naming`); `message`, and the error as text, call them as arguments of Python.
+    An edge that calls them otherwise says so in `names`, or asks for what is `told` there.
+    """
+
+    names: Names | None = None
 
     def told(self, names: Names) -> str:
         """Code and text in one line, settings as the run's edge calls them, or else as in `names`."""
@@ -300,21 +304,9 @@ class XfemnavError(Exception):
         return FAULTS[self.code].exit_code
 
 
-class XfemnavWarning(UserWarning):
+class XfemnavWarning(Coded, UserWarning):
     """A choice of the user's that deserves a look; `code` is one of the Wnnn of `FAULTS`, `text` and `message` are as
     those of an error."""
-
-    def __init__(self, code: str, text: str):
-        super().__init__(code, text)
-        self.code, self.text = code, text
-
-    def __str__(self) -> str:
-        return f"{self.code} {self.message}"
-
-    @property
-    def message(self) -> str:
-        """The text for users of Python."""
-        return said(self.text)
 
 
 def warn(code: str, text: str) -> None:

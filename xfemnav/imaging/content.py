@@ -233,6 +233,7 @@ def parts_digest(parts: dict[str, bytes]) -> str:
 
 
 def listed_digest(hashes: dict[str, bytes]) -> str:
+    """SHA-256, in hex, of several files by the SHA-256 of each, whatever their order."""
     listing = hashlib.sha256()
     for name, content in sorted(hashes.items()):
         listing.update(hashlib.sha256(os.fsencode(name)).digest() + content)
