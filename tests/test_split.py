@@ -34,7 +34,7 @@ def areas(facets):
 def check(mesh, cuts):
     """What holds for every placement: cells are filled, and what bounds each piece closes about its volume."""
     parts = split(mesh, cuts)
-    assert (parts.volumes > 0).all()
+    assert (parts.volumes > 0).all() and np.bincount(parts.part, minlength=parts.n_parts).all()
     assert_allclose(np.bincount(parts.cell[parts.part], parts.volumes), mesh.volumes, rtol=1e-12)
     body = bodies(parts)
     size = np.bincount(body[parts.part], parts.volumes)
