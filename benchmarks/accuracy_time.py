@@ -11,6 +11,8 @@ the mesh that need not be made. `x`: how many times xfemnav's seconds a way need
 GetFEM's enriched elements are timed on problem d where Debian's python3-getfem is installed.
 """
 
+from benchmarks.probes import basis_at
+
 from benchmarks.timing import interleaved, keep, table  # isort: skip (sets the number of threads)
 
 import json
@@ -162,7 +164,7 @@ def retracted_error(found) -> float:
     if isinstance(model, LiveMotion):
         got = model.to_current(x) - x
     else:
-        got = model.field(u)(x) if isinstance(model, Chain) else model.space.basis_at(x) @ u
+        got = model.field(u)(x) if isinstance(model, Chain) else basis_at(model.space, x) @ u
     return float(np.sqrt(np.nanmean(((got - known) ** 2).sum(axis=1))))
 
 

@@ -14,6 +14,7 @@ from time import perf_counter
 import numpy as np
 import shapely
 
+from benchmarks.probes import basis_at
 from benchmarks.verification.finite_strain_page import write_page
 from benchmarks.verification.retraction import PATH, corridor, corridor_graded, posed, uniform
 from xfemnav.errors import XfemnavError
@@ -97,7 +98,7 @@ def meshes():
         if isinstance(found, str):
             yield row | {"reached": reached(found), "linear inverted": linear.inverted_mm2}
             continue
-        u = problem.space.basis_at(x) @ found.U
+        u = basis_at(problem.space, x) @ found.U
         finest = u if finest is None else finest
         yield row | {
             "reached": 100.0, "linear inverted": linear.inverted_mm2, "inverted": found.inverted_mm2,

@@ -5,6 +5,8 @@
 5k nodes, 512 x 512 pixels.
 """
 
+from benchmarks.probes import sample
+
 from benchmarks.timing import interleaved, keep, mark, table  # isort: skip (sets the number of threads)
 
 import matplotlib.tri as tri
@@ -14,7 +16,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import Delaunay
 
 from xfemnav.imaging.voxels import sample_volume
-from xfemnav.imaging.warp import covered, pull_back, sample, update
+from xfemnav.imaging.warp import covered, pull_back, update
 
 NODES, SIZE, REPEATS = 5_000, 512, 9
 LINEAR, ITK = "matplotlib: LinearTriInterpolator, map", "SimpleITK: Resample by displacement field, linear"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.probes import lip_gaps
 from benchmarks.verification.contact import closed_crack, pressed
 from benchmarks.verification.fields import inclined_crack
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
@@ -13,7 +14,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.resection import place_resection
 from xfemnav.imaging.warp import pull_back
-from xfemnav.mechanics.contact import lip_contacts, lip_gaps, lip_pressure
+from xfemnav.mechanics.contact import lip_contacts, lip_pressure
 from xfemnav.mechanics.elasticity import Material, stiffness
 from xfemnav.mechanics.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.loads import Gravity

@@ -7,6 +7,7 @@ import pytest
 import shapely
 from numpy.testing import assert_allclose
 
+from benchmarks.probes import basis_at
 from data_synthetic import domains
 from tests.meshes import BRAIN, HARD_SKULL, outline
 from xfemnav.geometry.cut import place_cut
@@ -45,7 +46,7 @@ def moved(mesh, paths, points, removed=()):
     resections = tuple(place_resection([loop], outline(mesh)) for loop in removed)
     cuts = placed(outline(mesh), paths)
     problem = pose(mesh, cuts, BRAIN, HARD_SKULL, BOTH, lips="free", resections=resections)
-    return problem.space.basis_at(points) @ solve(problem).U
+    return basis_at(problem.space, points) @ solve(problem).U
 
 
 def around(*paths):

@@ -12,7 +12,7 @@ from scipy.ndimage import binary_fill_holes, gaussian_filter
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.imaging.masks import one_piece
-from xfemnav.imaging.outline import outline_of, rings_of_mask, signed_distance
+from xfemnav.imaging.outline import outline_of, rings_of_mask
 
 ORIGIN = np.array([-31.0, 12.0])
 
@@ -25,6 +25,13 @@ def ellipse(shape, spacing, semi_axes):
     """Mask of an ellipse in mm at a place between pixels, and its centre."""
     centre = ORIGIN + (np.array(shape) - 1) / 2 * spacing + [0.21, -0.34]
     return (((centres(shape, spacing) - centre) / semi_axes) ** 2).sum(axis=-1) < 1, centre
+
+
+def signed_distance(mask, spacing):
+    """Distance (n1, n2) mm of the pixel centres from the outline of `mask`, negative inside."""
+    outline = shapely.Polygon(outline_of(mask, (0.0, 0.0), spacing))
+    points = shapely.points(np.moveaxis(np.indices(mask.shape), 0, -1) * np.asarray(spacing, float))
+    return np.where(shapely.contains(outline, points), -1, 1) * shapely.distance(outline.exterior, points)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 0.5), (0.5, 1.5), (2.0, 0.7)])

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import quad
 from scipy.ndimage import distance_transform_edt
 
+from benchmarks.probes import sample
 from data_synthetic import domains, files
 from data_synthetic.fields import frame
 from data_synthetic.phantom import (
@@ -35,7 +36,7 @@ from data_synthetic.phantom import (
 )
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.mesh import orient
-from xfemnav.imaging.warp import covered, pull_back, sample, update
+from xfemnav.imaging.warp import covered, pull_back, update
 
 
 @pytest.fixture(scope="module")

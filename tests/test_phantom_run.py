@@ -12,6 +12,7 @@ import pytest
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 import xfemnav
+from benchmarks.probes import sample
 from data_synthetic import files
 from data_synthetic.phantom import (
     BRAIN,
@@ -32,7 +33,7 @@ from data_synthetic.phantom import (
 )
 from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
-from xfemnav.imaging.warp import pull_back, sample
+from xfemnav.imaging.warp import pull_back
 from xfemnav.mechanics.elasticity import Material, strain_matrices
 from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.probes import lip_gaps
 from data_synthetic import domains
 from tests.meshes import BRAIN, FREE, cut_in, disc, jittered, outline
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.resection import place_resection
-from xfemnav.mechanics.contact import lip_gaps
 from xfemnav.mechanics.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.loads import Gravity, Pressure
 from xfemnav.mechanics.outline import Arc, Skull

@@ -114,8 +114,8 @@ def test_voxel_indices_are_those_of_the_file(order, flips):
     across = slice.array_axes[2]
     ijk = np.array([1, 1, 1])
     ijk[[a for a in range(3) if a != across]] = 2, 3
-    plane = slice.from_voxels(np.delete(ijk, across)[None])
-    np.testing.assert_allclose(slice.from_voxels(ijk[None]), plane)
+    plane, _ = slice.from_world(slice.voxels_to_world(np.delete(ijk, across)[None]))
+    np.testing.assert_allclose(slice.from_world(slice.voxels_to_world(ijk[None]))[0], plane)
     pixel = np.rint((plane - slice.origin) / slice.spacing).astype(int)[0]
     assert slice.values[tuple(pixel)] == image.values[tuple(ijk)]
 
@@ -161,7 +161,7 @@ def test_points_in_every_space_are_the_same_place(plane, lps):
     image = ramp()
     slice = take_slice(image, plane=plane, index=2)
     voxels = np.array([[1.0, 2.0], [3.5, 4.0]])
-    wanted = slice.from_voxels(voxels)
+    wanted, _ = slice.from_world(slice.voxels_to_world(voxels))
     world = slice.to_world(wanted)
     for space, points in (("voxel", voxels), ("voxel", np.insert(voxels, slice.array_axes[2], 2, axis=1)),
                           ("ras", wanted), ("ras", world), ("lps", wanted * lps), ("lps", world * [-1, -1, 1])):

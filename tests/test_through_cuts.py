@@ -9,6 +9,7 @@ import shapely
 from numpy.testing import assert_allclose
 from shapely.ops import polygonize, unary_union
 
+from benchmarks.probes import basis_at
 from tests.meshes import BRAIN, cut_in, disc, outline, space_of
 from xfemnav.geometry.cut import Cut
 
@@ -156,4 +157,4 @@ def test_pieces_areas_and_jumps(course, n, seed):
     jump = (space.basis_in(at, left) - space.basis_in(at, right)) @ U
     near(jump, moved(at, body[left], motion) - moved(at, body[right], motion))
     for side, parts in ((1, left), (-1, right)):
-        near(space.basis_at(at, side) @ U, moved(at, body[parts], motion))
+        near(basis_at(space, at, side) @ U, moved(at, body[parts], motion))

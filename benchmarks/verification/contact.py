@@ -8,6 +8,7 @@ field is the uniform one plus Westergaard's of mode II, so that K_I = 0 and K_II
 
 import numpy as np
 
+from benchmarks.probes import lip_gaps
 from benchmarks.verification import fields
 from benchmarks.verification.cases import DISC, ENRICHED, STEEL, rectangle, uniform_mesh
 from benchmarks.verification.outcome import Outcome, Value
@@ -17,7 +18,7 @@ from xfemnav.geometry.cut import Cut, place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.sizing import SizeField
 from xfemnav.imaging.warp import pull_back
-from xfemnav.mechanics.contact import lip_contacts, lip_gaps, lip_pressure
+from xfemnav.mechanics.contact import lip_contacts, lip_pressure
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.fracture import stress_intensity
 from xfemnav.mechanics.lips import Retraction

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from benchmarks.probes import basis_at
 from benchmarks.reference.cases import BRAIN, FREE, LIFT, MOUTH, TIP, Retracted, disc, retraction, switches
 from benchmarks.reference.elasticity import Field, Tissue
 from benchmarks.verification.cases import uniform_mesh
@@ -144,7 +145,7 @@ def compare(problem: Problem, solution: Solution, field: Field, removed=()) -> C
     keep = (from_cut > 1e-6) & (np.hypot(*points.T) < np.linalg.norm(MOUTH) - 0.02)
     keep &= ~shapely.contains_xy(removed.buffer(0.02), *points.T)
     points = points[keep]
-    error = np.linalg.norm(problem.space.basis_at(points) @ solution.U - field(points), axis=1)
+    error = np.linalg.norm(basis_at(problem.space, points) @ solution.U - field(points), axis=1)
     from_switch = np.linalg.norm(points[:, None] - switches(), axis=2).min(axis=1)
     return Comparison(points, error, weights[keep], size[keep], from_cut[keep], from_switch)
 

@@ -1,4 +1,4 @@
-"""A pixel mask -> its smooth outline and the distance to it, both finer than a pixel.
+"""A pixel mask -> its smooth outline, finer than a pixel.
 
 The outline of a raw mask is a staircase, and a mesh that follows it has slivers. Smoothing the binary mask with a
 Gaussian of one pixel before taking the half level leaves no stairs. It is curvature flow: a boundary of radius R moves
@@ -64,12 +64,3 @@ def _smoothed(mask):
             both *= WEIGHTS[k]
             values += both
     return values
-
-
-def signed_distance(mask: np.ndarray, spacing) -> np.ndarray:
-    """Distance (n1, n2) mm of the pixel centres from the outline of `mask`, negative inside."""
-    outline = shapely.Polygon(outline_of(mask, (0.0, 0.0), spacing))
-    centres = shapely.points(np.moveaxis(np.indices(mask.shape), 0, -1) * np.asarray(spacing, float))
-    shapely.prepare(outline)
-    inside = shapely.contains(outline, centres)
-    return np.where(inside, -1.0, 1.0) * shapely.distance(outline.exterior, centres)

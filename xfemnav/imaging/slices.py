@@ -65,10 +65,6 @@ class Slice:
         along = np.asarray(points, float) @ self.axes.T
         return along[..., :2], along[..., 2] - self.offset
 
-    def from_voxels(self, voxels) -> np.ndarray:
-        """Plane points (n, 2) of file voxel indices: (n, 2) along the file's two in-plane axes, or (n, 3)."""
-        return self.from_world(self.voxels_to_world(voxels))[0]
-
     def voxels_to_world(self, voxels) -> np.ndarray:
         """World RAS mm (n, 3) of file voxel indices, (n, 2) in this slice or (n, 3)."""
         voxels = np.asarray(voxels, float)

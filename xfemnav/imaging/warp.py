@@ -142,19 +142,6 @@ def enclosed(outline, origin, spacing, shape) -> np.ndarray:
     return _fill((np.asarray(outline, float) - origin) / spacing, *shape)
 
 
-def sample(values, origin, spacing, points, interp: str = "linear") -> np.ndarray:
-    """Values (...) of an image (n1, n2) at `points` (..., 2) mm; NaN points give NaN.
-
-    `interp` is linear, cubic (the interpolating cubic B-spline, which may overshoot at edges) or nearest, whose values
-    have the image's own type, 0 for NaN points. Beyond its outermost pixel centres the image goes on unchanged.
-    """
-    points = np.ascontiguousarray(points, float)
-    own = interp == "nearest"
-    out = np.full(points.shape[:-1], 0 if own else np.nan, np.asarray(values).dtype if own else float)
-    _sample_into(out, values, origin, spacing, points, interp)
-    return out
-
-
 def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "linear", outside: str = "keep",
            fill: float = 0.0, now=None) -> Update:
     """The image `values` (n1, n2) on its `origin` and `spacing` (2,) mm as it looks after the motion.
@@ -172,12 +159,16 @@ def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "l
     empty = organ & ~pull_back.tissue
     np.copyto(updated, dtype.type(fill), where=empty)
     cavity, vacated = (empty, np.zeros_like(empty)) if now is None else (empty & now, empty & ~now)
-    _sample_into(updated, values, origin, spacing, pull_back.resting, interp)
+    sample_into(updated, values, origin, spacing, pull_back.resting, interp)
     return Update(updated, cavity, vacated, pull_back)
 
 
-def _sample_into(out, values, origin, spacing, points, interp) -> None:
-    """Write the image's values at `points` (..., 2) mm to `out` (...), whose values at NaN points stay."""
+def sample_into(out, values, origin, spacing, points, interp) -> None:
+    """Write the image's `values` (n1, n2) at `points` (..., 2) mm to `out` (...), whose values at NaN points stay.
+
+    `interp` is linear, cubic (the interpolating cubic B-spline, which may overshoot at edges) or nearest. Beyond its
+    outermost pixel centres the image goes on unchanged. Raises ValueError for another `interp`.
+    """
     origin, spacing = np.asarray(origin, float), np.asarray(spacing, float)
     flat, to = points.reshape(-1, 2), out.reshape(-1)
     if interp == "cubic":

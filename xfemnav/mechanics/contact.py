@@ -86,14 +86,6 @@ def contact_forces(contacts: Contacts, force) -> tuple[ContactForce, ...]:
     return tuple(found)
 
 
-def lip_gaps(space: Space, U, cut: int) -> tuple[np.ndarray, np.ndarray]:
-    """Arc (q,) mm and normal gap (q,) mm between the lips at Gauss points of a cut; U (n_rows, 2) mm."""
-    length = space.parts.lips.arc[space.parts.lips.cut == cut].max()
-    q = lip_quadrature(space, cut, LEFT, (0.0, length))
-    jump = (space.basis_in(q.points, q.parts) - space.basis_in(q.points, q.across)) @ U
-    return q.arc, np.einsum("qi,qi->q", jump, q.normals)
-
-
 def _stretch_contacts(space, cut, span):
     """Mean gaps over the hats of one stretch (from, to) mm of a cut."""
     knots = knots_along(space, cut, span, SPACING)

@@ -44,15 +44,7 @@ def _polar(n_radial, n_angular):
 
 def collapsed_rule(corners, n) -> tuple[np.ndarray, np.ndarray]:
     """Points (k, n*n, 2) and weights (k, n*n) of Gauss's rule collapsed to the first corner; exact to degree 2n - 2."""
-    return _from_apex(corners, *_collapsed(n))
-
-
-def polar_rule(corners, n_radial=6, n_angular=10) -> tuple[np.ndarray, np.ndarray]:
-    """The same with the first corner at a tip, radius = s^2: products of branch functions become polynomials in s."""
-    return _from_apex(corners, *_polar(n_radial, n_angular))
-
-
-def _from_apex(corners, rho, eta, w):
+    rho, eta, w = _collapsed(n)
     a, b, c = corners.swapaxes(0, 1)
     outer = (1 - eta)[None, :, None] * (b - a)[:, None] + eta[None, :, None] * (c - a)[:, None]
     return a[:, None] + rho[None, :, None] * outer, w[None] * orient(a, b, c)[:, None]

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.parts import Parts
-from xfemnav.geometry.snapping import SEVER
 from xfemnav.mechanics.branch import branch_functions, branch_gradients, polar
-from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, Enrichment
+from xfemnav.mechanics.enrichment import Enrichment
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,58 +48,6 @@ class Space:
         at, rows, gradients = self._gradients(np.asarray(points, float), np.asarray(parts))
         shape = (len(points), self.enrichment.n_rows)
         return tuple(csr_array((gradients[:, i], (at, rows)), shape) for i in (0, 1))
-
-    def basis_at(self, points, side: int | None = None) -> csr_array:
-        """B (k, n_rows) at any points (k, 2) mm of the organ; on a cut, `side` +1 is the left lip and -1 the right.
-
-        Raises ValueError for a point outside the mesh or in a resection, or on a cut without a side.
-        """
-        points = np.asarray(points, float)
-        return self.basis_in(points, self.locate(points, side))
-
-    def locate(self, points, side: int | None = None) -> np.ndarray:
-        """Part (k,) that holds each point (k, 2) mm and is not resected; see `basis_at`."""
-        points = np.asarray(points, float)
-        reach = SEVER * float(self.mesh.sizes.min())
-        at, triangle = self._tree.query(shapely.points(points), predicate="dwithin", distance=reach)
-        triangle = self._left[triangle]
-        candidate = self.parts.part[triangle]
-        lip = self._nearest_lip(points)
-        normal = self._lip_normals[lip] if lip is not None else np.zeros((len(points), 2))
-        centre = self.parts.corners[triangle].mean(axis=1)
-        # Off the cut every candidate gives the same value; on it, the candidate's side of the lip decides.
-        preference = np.einsum("ki,ki->k", centre - points[at], normal[at]) * (side or 0)
-        depth = _depth(self.parts.corners[triangle], points[at])
-        order = np.lexsort((-depth, -np.sign(preference) * (np.abs(depth) < reach), at))
-        first = order[np.concatenate([[True], np.diff(at[order]) != 0])] if len(order) else order
-        found = np.full(len(points), -1)
-        found[at[first]] = candidate[first]
-        if (found < 0).any():
-            where = points[found < 0][0]
-            raise ValueError(f"point ({where[0]:.3f}, {where[1]:.3f}) mm lies outside the mesh, or was resected")
-        return found
-
-    def _nearest_lip(self, points):
-        if not len(self.parts.lips.facets):
-            return None
-        return self._lip_tree.nearest(shapely.points(points))
-
-    @cached_property
-    def _left(self):
-        return np.flatnonzero(~self.parts.removed[self.parts.part])
-
-    @cached_property
-    def _tree(self):
-        return shapely.STRtree(shapely.polygons(self.parts.corners[self._left]))
-
-    @cached_property
-    def _lip_tree(self):
-        return shapely.STRtree(shapely.linestrings(self.parts.lips.facets))
-
-    @cached_property
-    def _lip_normals(self):
-        d = self.parts.lips.facets[:, 1] - self.parts.lips.facets[:, 0]
-        return np.stack([-d[:, 1], d[:, 0]], axis=1) / np.linalg.norm(d, axis=1)[:, None]
 
     @cached_property
     def _entry_start(self):
@@ -155,42 +101,3 @@ class Space:
         own = weight[:, None, None] * df + f[:, :, None] * dweight[:, None]
         return (np.concatenate([at, np.repeat(who, 4)]), np.concatenate([rows, more.ravel()]),
                 np.concatenate([gradient.reshape(-1, 2), own.reshape(-1, 2)]))
-
-    def paper_coefficients(self, U) -> dict[str, np.ndarray]:
-        """The coefficients of Eq. (4) as the paper writes it, from those of this basis, U (n_rows, 2) mm.
-
-        Returns u (n_nodes, 2), a (n_nodes, 2) for set J, c (n_nodes, 4, 2) for set K, zero where a node has none.
-        Only for one cut with at most two pieces a node. Raises ValueError otherwise.
-        """
-        table, n = self.enrichment, len(self.mesh.points)
-        U = np.asarray(U)
-        c = np.zeros((n, 4, 2))
-        branch = table.kind >= BRANCH
-        c[table.node[branch], table.kind[branch] - BRANCH] = U[branch]
-        u, a = U[:n].copy(), np.zeros((n, 2))
-        extra = np.flatnonzero(table.kind == HEAVISIDE)
-        if len(np.unique(table.node[extra])) < len(extra):
-            raise ValueError("a node has more than two pieces: Eq. (4) has one H a node")
-        sign = self._row_sides()
-        i = table.node[extra]
-        u[i] = (U[i] + U[extra]) / 2
-        a[i] = (U[i] - U[extra]) / 2 * sign[i, None]
-        np.subtract.at(u, table.node[branch], table.shift[branch, None] * U[branch])
-        return {"u": u, "a": a, "c": c}
-
-    def _row_sides(self):
-        """H (n_rows,) of the piece of each row: the side of the cut of its largest lip part, 0 away from the cut."""
-        side = np.zeros(self.enrichment.n_rows)
-        length = np.linalg.norm(self.parts.lips.facets[:, 1] - self.parts.lips.facets[:, 0], axis=1)
-        for column, sign in ((0, 1.0), (1, -1.0)):
-            rows = self.enrichment.dof[self.parts.lips.parts[:, column]]
-            np.add.at(side, rows, sign * length[:, None])
-        return np.sign(side)
-
-
-def _depth(corners, points):
-    """How far inside its triangle each point lies (k,): the smallest barycentric coordinate times the height, mm."""
-    a, b = corners, corners[:, [1, 2, 0]]
-    d = b - a
-    off = d[..., 0] * (points[:, None, 1] - a[..., 1]) - d[..., 1] * (points[:, None, 0] - a[..., 0])
-    return (off / np.linalg.norm(d, axis=2)).min(axis=1)
