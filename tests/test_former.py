@@ -11,7 +11,8 @@ with np.load(KEPT) as kept:
 
 
 @pytest.mark.parametrize("seeds", [list(FORMER)[k : k + 10] for k in range(0, 20, 10)]
-                         + [pytest.param(list(FORMER)[20:], marks=pytest.mark.slow)], ids=lambda seeds: f"from {seeds[0]}")
+                         + [pytest.param(list(FORMER)[20:], marks=pytest.mark.slow)],
+                         ids=lambda seeds: f"from {seeds[0]}")
 def test_random_networks_answer_as_before(seeds):
     for seed in seeds:
         now = answer(int(seed))

@@ -100,5 +100,5 @@ def test_a_column_shortens_under_its_own_weight():
     U = np.zeros(len(f))
     U[free] = spsolve(K[free][:, free], f[free])
     top = U.reshape(-1, 2)[y > 20 - 1e-9, 1]
-    wanted = -KPA_PER_MM * 1000 * 20**2 / (2 * material.stiffness[0, 0])
+    wanted = -KPA_PER_MM * 1000 * 20**2 / (2 * material.p_wave_in([0])[0])
     assert_allclose(top, wanted, rtol=1e-2)  # in two dimensions the nodes are not exact: the diagonals shear

@@ -5,8 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize_scalar
 
+from benchmarks.verification import plane
 from tests.meshes import turn
-from xfemnav.mechanics.elasticity import Material, strain_operator
+from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.neo_hookean import energy, stress, tangent
 
 STATES = ["strain", "stress"]
@@ -46,11 +47,11 @@ def test_stress_and_tangent_are_derivatives(state, nu):
 @pytest.mark.parametrize("nu", RATIOS)
 def test_small_strains_are_hookes(state, nu):
     """At F = 1 there is no stress, and the tangent on strains is D: to rounding, times lambda / mu."""
-    law, D = constants(nu, state, 1), Material(3.0, nu, state).stiffness
+    law, D = constants(nu, state, 1), plane.stiffness(Material(3.0, nu, state))
     still = np.eye(2)[None]
     assert abs(energy(still, *law)[0]) <= 1e-15 * D.max()
     assert np.abs(stress(still, *law)).max() <= 1e-15 * D.max()
-    B = strain_operator(np.eye(2))[:, [0, 2, 1, 3]]  # the strain of a displacement gradient xx, xy, yx, yy
+    B = np.array([[1.0, 0, 0, 0], [0, 0, 0, 1], [0, 1, 1, 0]])  # the strain of a displacement gradient xx, xy, yx, yy
     assert_allclose(tangent(still, *law)[0], B.T @ D @ B, atol=1e-13 * D.max())
 
 

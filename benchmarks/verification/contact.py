@@ -9,7 +9,7 @@ field is the uniform one plus Westergaard's of mode II, so that K_I = 0 and K_II
 import numpy as np
 
 from benchmarks.probes import lip_gaps
-from benchmarks.verification import fields
+from benchmarks.verification import fields, plane
 from benchmarks.verification.cases import DISC, ENRICHED, STEEL, rectangle, uniform_mesh
 from benchmarks.verification.outcome import Outcome, Value
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
@@ -37,7 +37,7 @@ def closed_crack(points, material: Material, half_length: float, beta: float, pr
     Q = np.array([[np.cos(beta), np.sin(beta)], [-np.sin(beta), np.cos(beta)]])
     p = np.asarray(points, float) @ Q.T
     opened = fields.inclined_crack(p, material, half_length, 0.0, normal)
-    strain = np.linalg.solve(material.stiffness, [0.0, normal, 0.0])
+    strain = np.linalg.solve(plane.stiffness(material), [0.0, normal, 0.0])
     return closed - (opened - p * strain[:2]) @ Q
 
 

@@ -5,6 +5,7 @@ Lengths mm, stresses kPa, K kPa mm^.5. Signs: K_I > 0 opens, K_II > 0 moves the 
 
 import numpy as np
 
+from benchmarks.verification import plane
 from xfemnav.mechanics.elasticity import Material
 
 
@@ -37,7 +38,7 @@ def williams_strain(points, material: Material, K_I: float, K_II: float) -> np.n
     yy = K_I * c * (1 + s * s3) + K_II * s * c * c3
     xy = K_I * c * s * c3 + K_II * c * (1 - s * s3)
     stress = np.stack([xx, yy, xy], axis=1) / np.sqrt(2 * np.pi * r)[:, None]
-    return stress @ np.linalg.inv(material.stiffness)
+    return stress @ np.linalg.inv(plane.stiffness(material))
 
 
 def inclined_crack(points, material: Material, half_length: float, beta: float, tension: float) -> np.ndarray:
@@ -50,7 +51,7 @@ def inclined_crack(points, material: Material, half_length: float, beta: float, 
     Q = np.array([[np.cos(beta), np.sin(beta)], [-np.sin(beta), np.cos(beta)]])
     p = np.asarray(points, float) @ Q.T
     stress = Q @ np.diag([0.0, tension]) @ Q.T
-    strain = np.linalg.solve(material.stiffness, [stress[0, 0], stress[1, 1], stress[0, 1]])
+    strain = np.linalg.solve(plane.stiffness(material), [stress[0, 0], stress[1, 1], stress[0, 1]])
     uniform = p @ np.array([[strain[0], strain[2] / 2], [strain[2] / 2, strain[1]]])
     z = p[:, 0] + 1j * p[:, 1]
     root = np.sqrt(z - a) * np.sqrt(z + a)

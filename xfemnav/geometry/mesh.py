@@ -142,6 +142,13 @@ def volumes(corners: np.ndarray) -> np.ndarray:
     return np.einsum("...i,...i->...", edges[..., 0, :], np.cross(edges[..., 1, :], edges[..., 2, :])) / 6
 
 
+def area_vectors(facets: np.ndarray) -> np.ndarray:
+    """Outward normals (b, d) of facets (b, d, d), see `Mesh.boundary_facets`, as long as they are large, mm^(d-1)."""
+    edges, d = facets[:, 1:] - facets[:, :1], facets.shape[-1]
+    minors = np.stack([np.linalg.det(np.delete(edges, i, axis=2)) for i in range(d)], axis=1)
+    return minors * (-1.0) ** np.arange(d) / factorial(d - 1)
+
+
 def _opposite(d: int) -> np.ndarray:
     """Local nodes (d + 1, d) of the facet opposite each local node, turned outwards (see `Mesh.boundary_facets`)."""
     facets = np.array([[k for k in range(d + 1) if k != i] for i in range(d + 1)])

@@ -42,30 +42,31 @@ def stack(parts: list[Constraints], n_dof: int) -> Constraints:
 
 
 def vector_rows(B, values, group: int) -> Constraints:
-    """Conditions u_i = value_i, both components, from scalar rows B (k, n_rows) and values (k, 2) mm; row 2 k + i."""
-    C = both_components(B)
-    return Constraints(C, np.asarray(values, float).ravel(), np.full(C.shape[0], group))
+    """Conditions u_i = value_i, all components, from scalar rows B (k, n_rows) and values (k, d) mm; row d k + i."""
+    values = np.asarray(values, float)
+    C = each_component(B, values.shape[1])
+    return Constraints(C, values.ravel(), np.full(C.shape[0], group))
 
 
-def both_components(B) -> csr_array:
-    """B (k, n) for each component of a vector by itself, (2 k, 2 n): entry (r, c) becomes (2 r + i, 2 c + i)."""
+def each_component(B, d: int) -> csr_array:
+    """B (k, n) for each component of a vector by itself, (d k, d n): entry (r, c) becomes (d r + i, d c + i)."""
     B = csr_array(B)
     count = np.diff(B.indptr)
-    first = np.arange(B.nnz) + np.repeat(B.indptr[:-1], count)
-    second = first + np.repeat(count, count)
-    data, indices = np.empty(2 * B.nnz), np.empty(2 * B.nnz, dtype=B.indices.dtype)
-    data[first] = data[second] = B.data
-    indices[first], indices[second] = 2 * B.indices, 2 * B.indices + 1
-    starts = np.concatenate([[0], np.cumsum(np.repeat(count, 2))])
-    return csr_array((data, indices, starts), (2 * B.shape[0], 2 * B.shape[1]))
+    at = np.arange(B.nnz) + (d - 1) * np.repeat(B.indptr[:-1], count)
+    data, indices = np.empty(d * B.nnz), np.empty(d * B.nnz, dtype=B.indices.dtype)
+    for i in range(d):
+        data[at], indices[at] = B.data, d * B.indices + i
+        at = at + np.repeat(count, count)
+    starts = np.concatenate([[0], np.cumsum(np.repeat(count, d))])
+    return csr_array((data, indices, starts), (d * B.shape[0], d * B.shape[1]))
 
 
 def normal_rows(B, normals, values, group: int) -> Constraints:
-    """Conditions n . u = value from scalar rows B (k, n_rows), unit normals (k, 2), values (k,) mm."""
-    B = csr_array(B)
+    """Conditions n . u = value from scalar rows B (k, n_rows), unit normals (k, d), values (k,) mm."""
+    B, d = csr_array(B), np.shape(normals)[1]
     data = B.data[:, None] * np.repeat(normals, np.diff(B.indptr), axis=0)
-    columns = 2 * B.indices[:, None] + np.arange(2, dtype=B.indices.dtype)
-    C = csr_array((data.ravel(), columns.ravel(), 2 * B.indptr), (B.shape[0], 2 * B.shape[1]))
+    columns = d * B.indices[:, None] + np.arange(d, dtype=B.indices.dtype)
+    C = csr_array((data.ravel(), columns.ravel(), d * B.indptr), (B.shape[0], d * B.shape[1]))
     return Constraints(C, values, np.full(C.shape[0], group))
 
 

@@ -1,9 +1,9 @@
-"""Linear elasticity in the plane: one material or one a cell, and the stiffness matrix K."""
+"""Linear elasticity: one material or one a cell, Hooke's law, and the stiffness matrix K."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
@@ -13,9 +13,27 @@ from xfemnav.mechanics.space import Space
 from xfemnav.mechanics.tip_stiffness import tip_blocks
 
 
+class Isotropic:
+    """Constants in cells, from `young_in` and `poisson_in`."""
+
+    def lame_in(self, cells) -> tuple[np.ndarray, np.ndarray]:
+        """Lame's constants mu and lambda, each (k,) kPa, of the solid in cells (k,)."""
+        return lame(self.young_in(cells), self.poisson_in(cells))
+
+    def moduli_in(self, cells) -> tuple[np.ndarray, np.ndarray]:
+        """The same as they act between strains and stresses along the mesh's axes: of plane 'stress', if it is said."""
+        mu, lam = self.lame_in(cells)
+        return mu, 2 * lam * mu / (lam + 2 * mu) if self.stress_state == "stress" else lam
+
+    def p_wave_in(self, cells) -> np.ndarray:
+        """The P-wave modulus lambda + 2 mu (k,) kPa in cells (k,): stress along a strain that is the only one."""
+        mu, lam = self.moduli_in(cells)
+        return lam + 2 * mu
+
+
 @dataclass(frozen=True)
-class Material:
-    """Isotropic linear elasticity: Young's modulus kPa, Poisson's ratio, plane 'strain' or 'stress'.
+class Material(Isotropic):
+    """Isotropic linear elasticity: Young's modulus kPa, Poisson's ratio, and in the plane 'strain' or 'stress'.
 
     Raises XfemnavError E404 for constants out of range.
     """
@@ -31,14 +49,6 @@ class Material:
             raise XfemnavError("E404", f"Poisson's ratio is {self.poisson:g}; it must lie in 0..0.499.")
         if self.stress_state not in ("strain", "stress"):
             raise XfemnavError("E404", f"stress state is {self.stress_state!r}; it must be 'strain' or 'stress'.")
-
-    @property
-    def stiffness(self) -> np.ndarray:
-        """D (3, 3) kPa: stress (xx, yy, xy) from strain (xx, yy, 2 xy)."""
-        E, nu = self.young_kpa, self.poisson
-        if self.stress_state == "stress":
-            return E / (1 - nu**2) * np.array([[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]])
-        return E / ((1 + nu) * (1 - 2 * nu)) * np.array([[1 - nu, nu, 0], [nu, 1 - nu, 0], [0, 0, (1 - 2 * nu) / 2]])
 
     @property
     def shear_modulus(self) -> float:
@@ -59,17 +69,13 @@ class Material:
         """Young's modulus (k,) kPa in cells (k,)."""
         return np.full(len(cells), self.young_kpa)
 
-    def lame_in(self, cells) -> tuple[np.ndarray, np.ndarray]:
-        """Lame's constants mu and lambda, each (k,) kPa, of the solid in cells (k,)."""
-        return lame(self.young_in(cells), np.full(len(cells), self.poisson))
-
-    def stiffness_in(self, cells) -> np.ndarray:
-        """D (k, 3, 3) kPa in cells (k,)."""
-        return np.broadcast_to(self.stiffness, (len(cells), 3, 3))
+    def poisson_in(self, cells) -> np.ndarray:
+        """Poisson's ratio (k,) in cells (k,)."""
+        return np.full(len(cells), self.poisson)
 
 
 @dataclass(frozen=True, eq=False)
-class Tissue:
+class Tissue(Isotropic):
     """A material for each cell: young_kpa (m,), poisson (m,), plane 'strain' or 'stress'; in use like a `Material`."""
 
     young_kpa: np.ndarray
@@ -91,17 +97,9 @@ class Tissue:
         """Young's modulus (k,) kPa in cells (k,)."""
         return self.young_kpa[cells]
 
-    def lame_in(self, cells) -> tuple[np.ndarray, np.ndarray]:
-        """Lame's constants mu and lambda, each (k,) kPa, of the solid in cells (k,)."""
-        return lame(self.young_kpa[cells], self.poisson[cells])
-
-    def stiffness_in(self, cells) -> np.ndarray:
-        """D (k, 3, 3) kPa in cells (k,)."""
-        different, which = np.unique(
-            np.stack([self.young_kpa[cells], self.poisson[cells]], axis=1), axis=0, return_inverse=True
-        )
-        D = np.array([Material(E, nu, self.stress_state).stiffness for E, nu in different.tolist()])
-        return D.reshape(-1, 3, 3)[which.ravel()]
+    def poisson_in(self, cells) -> np.ndarray:
+        """Poisson's ratio (k,) in cells (k,)."""
+        return self.poisson[cells]
 
 
 def lame(young, poisson) -> tuple[np.ndarray, np.ndarray]:
@@ -117,16 +115,15 @@ def mixed(materials: tuple[Material, ...], shares) -> Tissue:
     return Tissue(mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu)), materials[0].stress_state)
 
 
-def strain_operator(gradient) -> np.ndarray:
-    """Rows xx, yy, 2 xy (..., 3, 2 a) of the strain of basis functions with gradients (..., a, 2); DOF 2 a + i."""
-    B = np.zeros((*gradient.shape[:-2], 3, 2 * gradient.shape[-2]))
-    B[..., 0, 0::2], B[..., 1, 1::2] = gradient[..., 0], gradient[..., 1]
-    B[..., 2, 0::2], B[..., 2, 1::2] = gradient[..., 1], gradient[..., 0]
-    return B
+def hooke(H, mu, lam) -> np.ndarray:
+    """Stress (..., d, d) kPa of displacement gradients H (..., d, d); Lame's constants (...) kPa."""
+    mu, lam = (np.asarray(constant)[..., None, None] for constant in (mu, lam))
+    return lam * np.trace(H, axis1=-2, axis2=-1)[..., None, None] * np.eye(H.shape[-1]) + mu * (H + H.swapaxes(-1, -2))
 
 
 def stiffness(space: Space, material: Material | Tissue, cells=None) -> csc_array:
-    """K (n_dof, n_dof) kPa, per mm of thickness; symmetric. With `cells`, only their share: their element stiffness."""
+    """K (n_dof, n_dof) kPa mm^(d-2), in the plane per mm of thickness; symmetric. With `cells`, only their share: their
+    element stiffness."""
     split = space.parts
     chosen = np.ones(split.n_parts, bool) if cells is None else np.isin(split.cell, cells)
     return stiffness_of_parts(space, material, chosen)
@@ -142,42 +139,26 @@ def stiffness_of_parts(space: Space, material: Material | Tissue, chosen) -> csc
     branched = np.zeros(split.n_parts, dtype=bool)
     branched[space.branch_parts] = True
     plain = np.flatnonzero(chosen & ~branched)
-    mu, lam = material.lame_in(split.cell)
-    if material.stress_state == "stress":
-        lam = 2 * lam * mu / (lam + 2 * mu)
-    area = np.bincount(split.part, split.volumes, split.n_parts)[plain]
-    tip_rows, blocks = np.empty((0, 3), np.int64), np.empty((0, 6, 6))
+    mu, lam = material.moduli_in(split.cell)
+    volume = np.bincount(split.part, split.volumes, split.n_parts)[plain]
+    tip_rows, blocks = np.empty((0, 1), np.int64), np.empty((0, 1, 1))
     about_tip = np.flatnonzero((chosen & branched)[split.part])
     if len(about_tip):
         points, weights, owner = tip_rule(split.corners[about_tip], split.fronts.at)
         parts = split.part[about_tip][owner]
         blocks, tip_rows = tip_blocks(space, points, weights, parts, lam, mu)
     gradients = space.mesh.gradients[split.cell[plain]]
-    return assemble(table.n_rows, table.dof[plain], gradients, lam[plain] * area, mu[plain] * area, tip_rows, blocks)
+    return assemble(table.n_rows, table.dof[plain], gradients, lam[plain] * volume, mu[plain] * volume, tip_rows,
+                    blocks)
 
 
-def plain_blocks(gradients, area, D) -> np.ndarray:
-    """K_c = area B'DB (k, 6, 6) kPa of linear triangles with gradients (k, 3, 2) 1/mm, area (k,) mm^2, D (k, 3, 3)."""
-    B = strain_operator(gradients)
-    return B.swapaxes(1, 2) @ (area[:, None, None] * D) @ B
-
-
-def stress_matrices(strain: list[csr_array], D) -> list[csr_array]:
-    """Three matrices (q, n_dof): stress xx, yy, xy from the DOFs, from `strain_matrices` and D (q, 3, 3) kPa."""
-    return [csr_array(sum(strain[t].multiply(D[:, s, t, None]) for t in range(3))) for s in range(3)]
-
-
-def strain_matrices(space: Space, points, parts) -> list[csr_array]:
-    """Three matrices (k, n_dof), 1/mm: strain xx, yy, 2 xy at points (k, 2) in parts (k,) from the DOFs."""
-    gx, gy = space.gradient_in(points, parts)
-    return [_spread(gx, None), _spread(None, gy), _spread(gy, gx)]
-
-
-def _spread(first, second):
-    """Interleave the columns of two (k, n) matrices into (k, 2 n): component i of row r is DOF 2 r + i."""
-    parts = [(m.tocoo(), i) for i, m in ((0, first), (1, second)) if m is not None]
-    shape = (parts[0][0].shape[0], 2 * parts[0][0].shape[1])
-    data = np.concatenate([m.data for m, _ in parts])
-    rows = np.concatenate([m.row for m, _ in parts])
-    columns = np.concatenate([2 * m.col + i for m, i in parts])
-    return csr_array((data, (rows, columns)), shape)
+def plain_blocks(gradients, lam, mu) -> np.ndarray:
+    """Stiffness (k, (d + 1) d, (d + 1) d) kPa of linear simplices with gradients (k, d + 1, d) 1/mm, of each degree of
+    freedom d a + i; lam, mu (k,) kPa mm^d: Lame's constants times its volume."""
+    k, corners, d = gradients.shape
+    M = gradients.reshape(k, -1, 1) * gradients.reshape(k, 1, -1)
+    crossed = mu[:, None, None] * M
+    K = (lam[:, None, None] * M).reshape(k, corners, d, corners, d) + crossed.reshape(
+        k, corners, d, corners, d).swapaxes(2, 4)
+    K[:, :, range(d), :, range(d)] += np.einsum("k,kai,kbi->kab", mu, gradients, gradients)
+    return K.reshape(k, corners * d, corners * d)

@@ -27,14 +27,14 @@ STANDARD, HEAVISIDE, BRANCH = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Enrichment:
-    """One row per scalar basis function; the only map of degrees of freedom (row r, component i -> 2 r + i).
+    """One row per scalar basis function; the only map of degrees of freedom (row r, component i -> d r + i).
 
     node (n,): the node of each row; kind (n,): STANDARD (row i is node i's, on the piece that holds the node),
     HEAVISIDE (a further piece), or BRANCH + l for F_{l+1}, l = 0..3; tip (n,): the tip of a branch row, else -1;
     shift (n,): F_l(x_i) of a branch row, else 0.
     dof (p, d + 1): row of the function of each part's local nodes.
     Branch functions by part, sorted by part: entry_part, entry_node (local), entry_row (of F_1; F_2.. follow),
-    entry_angle (unwrapped angle of the part about the tip) (e,), and entry_ramp (e, 3): the blending ramp's nodal
+    entry_angle (unwrapped angle of the part about the tip) (e,), and entry_ramp (e, d + 1): the blending ramp's nodal
     values on the part's cell, all 1 where there is none.
     body (p,): connected piece of the organ that each part belongs to.
     """
@@ -75,8 +75,8 @@ class Enrichment:
 
     @property
     def n_dof(self) -> int:
-        """Number of degrees of freedom: two components a basis function."""
-        return 2 * self.n_rows
+        """Number of degrees of freedom: d components a basis function."""
+        return (self.dof.shape[1] - 1) * self.n_rows
 
     @cached_property
     def heaviside_nodes(self) -> np.ndarray:
@@ -217,7 +217,7 @@ def _at_tip(mesh, split, dof, middle, tip):
     nodes = [i for i in nodes if not _holds_other_end(mesh, split, tip, i)]
     cells = mesh.cells[split.cell]
     # The functions live on the piece that the tip touches.
-    pieces = {int(cells[p, a]): int(dof[p, a]) for p in touched for a in range(3) if cells[p, a] in nodes}
+    pieces = {int(i): int(dof[p, a]) for p in touched for a, i in enumerate(cells[p]) if i in nodes}
     angle = unwrap(split, middle, tip, np.isin(dof, list(pieces.values())).any(axis=1))
     jumping = torn(split, middle, tip, angle)
     for i, row in sorted(pieces.items()):
@@ -226,7 +226,7 @@ def _at_tip(mesh, split, dof, middle, tip):
         if not len(parts) or jumping[parts].any():
             continue
         shift = _shift(mesh, split, middle, angle, tip, i, parts)
-        yield i, shift, parts, local, angle[parts], np.ones((len(parts), 3))
+        yield i, shift, parts, local, angle[parts], np.ones((len(parts), cells.shape[1]))
 
 
 def _within_radius(mesh, split, dof, middle, tip, radius):
@@ -239,7 +239,7 @@ def _within_radius(mesh, split, dof, middle, tip, radius):
     angle = unwrap(split, middle, tip, inside)
     inner[cells[torn(split, middle, tip, angle)]] = False
     inside = inner[cells].any(axis=1)
-    parts, local = np.nonzero(np.repeat((inside & np.isfinite(angle))[:, None], 3, axis=1))
+    parts, local = np.nonzero(np.repeat((inside & np.isfinite(angle))[:, None], cells.shape[1], axis=1))
     order = np.argsort(cells[parts, local], kind="stable")
     parts, local = parts[order], local[order]
     nodes, start = np.unique(cells[parts, local], return_index=True)

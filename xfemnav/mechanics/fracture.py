@@ -20,7 +20,7 @@ from xfemnav.geometry.mesh import orient
 from xfemnav.mechanics.angles import centroids, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_gradients, polar
 from xfemnav.mechanics.contact import lip_pressure
-from xfemnav.mechanics.elasticity import Material, strain_matrices
+from xfemnav.mechanics.elasticity import Material, hooke
 from xfemnav.mechanics.lips import LEFT, RIGHT, lip_quadrature
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.quadrature import collapsed_rule
@@ -104,9 +104,9 @@ def _clearance(problem, tip, pushed):
     `pushed` (p,) bool."""
     split, x = problem.parts, problem.parts.fronts.at[tip]
     own = split.cell[touched_parts(split, tip)[0]]
-    D = problem.material.stiffness_in(split.cell[split.part])
-    other = np.abs(D - problem.material.at(own).stiffness).max(axis=(1, 2)) > 1e-9 * D.max()
-    other |= pushed[split.part]
+    moduli = np.stack(problem.material.moduli_in(split.cell))
+    other = np.abs(moduli - moduli[:, split.cell == own][:, :1]).max(axis=0) > 1e-9 * moduli.sum(axis=0).max()
+    other = (other | pushed)[split.part]
     rim = np.concatenate([split.rim.facets, split.walls.facets])
     distance = [shapely.linestrings(rim), shapely.points(np.delete(split.fronts.at, tip, axis=0))]
     distance.append(shapely.polygons(split.corners[other]))
@@ -144,15 +144,11 @@ def _domain_rule(corners, x, radius):
 
 def _flux(space, material, U, points, parts, tip, reference, frame, real_traction=True):
     """P_j (2 modes, q, 2) in the tip's frame, of the solution with the unit field of each mode."""
-    D = material.stiffness
-    strain = np.stack([e @ U.ravel() for e in strain_matrices(space, points, parts)], axis=1)
-    stress = _tensor(strain @ D.T, frame)
-    gx, gy = (g @ U for g in space.gradient_in(points, parts))
-    gradient = np.einsum("ai,qij,bj->qab", frame, np.stack([gx, gy], axis=2), frame)
+    mu, lam = (constant[0] for constant in material.moduli_in([0]))
+    along = np.stack([g @ U for g in space.gradient_in(points, parts)], axis=2)
+    gradient = np.einsum("ai,qij,bj->qab", frame, along, frame)
     unit = _unit_gradient(space, material, points, tip, reference, frame)
-    unit_strain = np.stack([unit[..., 0, 0], unit[..., 1, 1], unit[..., 0, 1] + unit[..., 1, 0]], axis=-1)
-    s = unit_strain @ D.T
-    unit_stress = np.stack([np.stack([s[..., 0], s[..., 2]], -1), np.stack([s[..., 2], s[..., 1]], -1)], -2)
+    stress, unit_stress = hooke(gradient, mu, lam), hooke(unit, mu, lam)
     P = -np.einsum("mqij,qi->mqj", unit_stress, gradient[:, :, 0])
     if real_traction:
         P -= np.einsum("qij,mqi->mqj", stress, unit[..., 0])
@@ -166,12 +162,6 @@ def _unit_gradient(space, material, points, tip, reference, frame):
     r, theta = polar(points, tips, np.broadcast_to(frame[0], points.shape), reference)
     scale = 1 / (2 * material.shear_modulus * np.sqrt(2 * np.pi))
     return scale * np.einsum("mli,qlj->mqij", mode_combinations(material.kappa), branch_gradients(r, theta))
-
-
-def _tensor(s, frame):
-    """Stress tensors (q, 2, 2) in the tip's frame from components (q, 3) xx, yy, xy in the plane's."""
-    tensor = np.stack([np.stack([s[:, 0], s[:, 2]], -1), np.stack([s[:, 2], s[:, 1]], -1)], -2)
-    return np.einsum("ai,qij,bj->qab", frame, tensor, frame)
 
 
 def _lip_integral(space, material, U, tip, angle, frame, radius, pressure):

@@ -118,11 +118,14 @@ def organ(problem: Problem) -> Organ:
 
 
 def gradient_operator(space: Space, points, parts) -> csr_array:
-    """Matrix (4 k, n_dof), 1/mm: du_i/dx_j at point k (k, 2) mm, taken in part (k,), in row 4 k + 2 i + j."""
-    found = [matrix.tocoo() for matrix in space.gradient_in(points, parts)]
-    entries = [(4 * m.row + 2 * i + j, 2 * m.col + i, m.data) for j, m in enumerate(found) for i in (0, 1)]
-    rows, columns, data = (np.concatenate(each) for each in zip(*entries))
-    return csr_array((data, (rows, columns)), (4 * len(points), 2 * found[0].shape[1]))
+    """Matrix (d^2 k, n_dof), 1/mm: du_i/dx_j at point k (k, d) mm, taken in part (k,), in row d (d k + i) + j."""
+    at, rows, gradients = space.gradients_in(points, parts)
+    d = gradients.shape[1]
+    i, j = np.indices((d, d))
+    data, rows, columns = np.broadcast_arrays(gradients[:, None, :], d * (d * at[:, None, None] + i) + j,
+                                              d * rows[:, None, None] + i)
+    shape = (d**2 * len(points), space.enrichment.n_dof)
+    return csr_array((data.ravel(), (rows.ravel(), columns.ravel())), shape)
 
 
 def _block_diagonal(A):

@@ -225,7 +225,8 @@ def too_stiff() -> XfemnavError:
 
 def _plain(mesh, material, cells, nodes):
     """Stiffness (2 k, 2 k) kPa of uncut `cells` (c,) on nodes (k,)."""
-    K_c = plain_blocks(mesh.gradients[cells], mesh.volumes[cells], material.stiffness_in(cells))
+    mu, lam = material.moduli_in(cells)
+    K_c = plain_blocks(mesh.gradients[cells], lam * mesh.volumes[cells], mu * mesh.volumes[cells])
     number, n = np.empty(len(mesh.points), dtype=int), 2 * len(nodes)
     number[nodes] = np.arange(len(nodes))
     dof = (2 * number[mesh.cells[cells]][:, :, None] + np.arange(2)).reshape(-1, 6)

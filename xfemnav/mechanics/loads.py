@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xfemnav.geometry.mesh import area_vectors
 from xfemnav.geometry.removal import wall_of
 from xfemnav.geometry.snapping import SNAP
-from xfemnav.mechanics.quadrature import tip_rule
+from xfemnav.mechanics.quadrature import gauss_in_simplex
 from xfemnav.mechanics.space import Space
 
 #: Weight of a kilogramme per cubic metre, as kPa/mm: 9.80665 N/kg.
@@ -18,19 +19,19 @@ KPA_PER_MM = 9.80665e-6
 
 @dataclass(frozen=True)
 class Gravity:
-    """Weight of the tissue: `direction` (2,) in the plane, its length the share of gravity there.
+    """Weight of the tissue: `direction` (d,), in the plane its length the share of gravity there.
 
     Tissue farther along the direction than `fluid_level_mm` floats: its weight is that of the difference of the
     densities. None: no fluid, as after drainage of the cerebrospinal fluid. Densities in kg/m^3.
     """
 
-    direction: tuple[float, float]
+    direction: tuple[float, ...]
     density: float = 1000.0
     fluid_density: float = 1007.0
     fluid_level_mm: float | None = None
 
     def force(self, points) -> np.ndarray:
-        """Force (k, 2) kPa/mm on the tissue at points (k, 2) mm."""
+        """Force (k, d) kPa/mm on the tissue at points (k, d) mm."""
         down = np.asarray(self.direction, float)
         density = np.full(len(points), self.density)
         if self.fluid_level_mm is not None:
@@ -67,22 +68,13 @@ def weight_load(space: Space, gravity: Gravity) -> np.ndarray:
     Plain and Heaviside functions are linear on each triangle, so one point is exact; the level of a fluid is followed
     to the triangle.
     """
-    split = space.parts
-    left, about_tip = ~split.removed[split.part], np.isin(split.part, space.branch_parts)
-    plain, about_tip = left & ~about_tip, left & about_tip
-    points, weights, parts = split.corners[plain].mean(axis=1), split.volumes[plain], split.part[plain]
-    if about_tip.any():
-        at, w, owner = tip_rule(split.corners[about_tip], split.fronts.at)
-        points, weights = np.concatenate([points, at]), np.concatenate([weights, w])
-        parts = np.concatenate([parts, split.part[about_tip][owner]])
+    points, weights, parts = space.rule(~space.parts.removed[space.parts.part], degree=1)
     return (space.basis_in(points, parts).T @ (weights[:, None] * gravity.force(points))).ravel()
 
 
-def pressure_load(space: Space, ends, parts, kpa: float) -> np.ndarray:
-    """Nodal forces (n_dof,) mN per mm of a pressure on facets (k, 2, 2) mm of parts (k,), tissue on their left."""
-    t, w = np.polynomial.legendre.leggauss(4)
-    along = ends[:, 1] - ends[:, 0]
-    points = ends[:, None, 0] + (t[:, None] + 1) / 2 * along[:, None]
-    inward = np.stack([-along[:, 1], along[:, 0]], axis=1)  # as long as the facet
-    force = kpa * np.repeat(inward, len(t), axis=0) * np.tile(w / 2, len(ends))[:, None]
-    return (space.basis_in(points.reshape(-1, 2), np.repeat(parts, len(t))).T @ force).ravel()
+def pressure_load(space: Space, facets, parts, kpa: float) -> np.ndarray:
+    """Nodal forces (n_dof,) mN, in the plane per mm thick, of a pressure on facets (k, d, d) mm of parts (k,)."""
+    shares, weights = gauss_in_simplex(space.mesh.dim - 1, 4)
+    points = (shares @ facets).reshape(-1, space.mesh.dim)
+    force = np.repeat(-kpa * area_vectors(facets), len(weights), axis=0) * np.tile(weights, len(facets))[:, None]
+    return (space.basis_in(points, np.repeat(parts, len(weights))).T @ force).ravel()

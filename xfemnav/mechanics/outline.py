@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.mechanics.arcs import Arc, check_kind, facet_kinds
-from xfemnav.mechanics.constraints import SKULL, Constraints, both_components, normal_rows, stack, vector_rows
+from xfemnav.mechanics.constraints import SKULL, Constraints, each_component, normal_rows, stack, vector_rows
 from xfemnav.mechanics.contact import join
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.measured import measured_at, refuse_nothing
@@ -126,16 +126,16 @@ def skull_conditions(
     kinds, gaps = facet_kinds(space, skull.kind, skull.gap_mm, skull.arcs)
     ends = skull.ends(space.parts.rim.facets.mean(axis=1))
     kinds[ends] = "fixed"
-    known, values = np.zeros(len(rim.points), dtype=bool), np.zeros((len(rim.points), 2))
+    known, values = np.zeros(len(rim.points), dtype=bool), np.zeros(rim.points.shape)
     if measured is not None:
         known, values = measured_at(space, rim, np.asarray(measured, float), pulled)
     depth = _Depth(space, kinds, skull.craniotomy_mm, mouths)
     rigid = ~known & (ends[rim.facet] | (depth(rim.points) >= _rigid_from(skull, rim.lengths)))
     kind = kinds[rim.facet]
-    fixed, sliding, b = rigid & (kind == "fixed"), rigid & (kind == "sliding"), len(kinds)
-    parts = [_vector_conditions(space, rim, fixed, np.zeros((len(rim.points), 2)))] if fixed.any() else []
+    fixed, sliding = rigid & (kind == "fixed"), rigid & (kind == "sliding")
+    parts = [_vector_conditions(space, rim, fixed, np.zeros(rim.points.shape))] if fixed.any() else []
     parts += [_sliding_conditions(space, rim, sliding)] if sliding.any() else []
-    springs = _springs(space, skull, depth, kinds, material, ~ends & ~(known[:b] & known[b : 2 * b]))
+    springs = _springs(space, skull, depth, kinds, material, ~ends & ~_at_corners(space, known).all(axis=0))
     load = np.zeros(n_dof)
     if measured is not None:
         if weight is None:
@@ -143,10 +143,16 @@ def skull_conditions(
         pull, load = _drawn(space, np.asarray(measured, float), weight, pulled, known, material)
         springs = csr_array(springs + pull)
     touching = ~known & (kind == "contact") & (_distance(rim.points, mouths) >= skull.craniotomy_mm)
-    touching[2 * b :] = False
+    touching[space.mesh.dim * len(kinds) :] = False
     contacts = join([_contacts(space, rim, touching, gaps[rim.facet])] if touching.any() else [], n_dof)
-    weak = np.flatnonzero(touching[:b] | touching[b : 2 * b])
+    weak = np.flatnonzero(_at_corners(space, touching).any(axis=0))
     return OutlineConditions(stack(parts, n_dof), springs, load, contacts, _weak(space, weak, material))
+
+
+def _at_corners(space, chosen):
+    """Of `rim_points` (k,) those at the corners (d, b) of the facets (b,)."""
+    d, b = space.mesh.dim, len(space.parts.rim.parts)
+    return chosen[: d * b].reshape(d, b)
 
 
 class _Depth:
@@ -190,8 +196,8 @@ def _places(space, rim, chosen):
 
 def _mean_normals(rim, chosen, n_places, place):
     """Mean normals (n_places, 2) of the facets that meet at each place."""
-    normals = np.zeros((n_places, 2))
-    np.add.at(normals, place, rim.normals[chosen] * rim.lengths[chosen][:, None])
+    normals = np.zeros((n_places, rim.normals.shape[1]))
+    np.add.at(normals, place, rim.normals[chosen] * rim.sizes[chosen][:, None])
     return normals / np.linalg.norm(normals, axis=1)[:, None]
 
 
@@ -211,7 +217,7 @@ def _contacts(space, rim, chosen, gaps):
     """n . u <= gap at the chosen ends of facets, each for half a facet on its sides."""
     B, first, place = _places(space, rim, chosen)
     normals = _mean_normals(rim, chosen, len(first), place)
-    starts, lengths = (np.arange(len(chosen)) < len(np.unique(rim.facet)))[chosen], rim.lengths[chosen]
+    starts, lengths = (np.arange(len(chosen)) < len(np.unique(rim.facet)))[chosen], rim.sizes[chosen]
     hats, gap = np.zeros((len(first), 3)), np.full(len(first), np.inf)
     np.add.at(hats[:, 2], place[starts], lengths[starts])
     np.subtract.at(hats[:, 0], place[~starts], lengths[~starts])
@@ -237,9 +243,8 @@ def _springs(space, skull, depth, kinds, material, unknown):
     Only facets that are `unknown` (b,): the others move as measured.
     """
     split = space.parts
-    a, b = split.rim.facets.swapaxes(0, 1)
-    ends = np.stack([depth(a), depth(b)])
-    rigid = _rigid_from(skull, np.linalg.norm(b - a, axis=1))
+    ends = np.stack([depth(corners) for corners in split.rim.facets.swapaxes(0, 1)])
+    rigid = _rigid_from(skull, _at_corners(space, rim_points(space).lengths)[0])
     on_the_ramp = (ends.min(axis=0) < rigid) & (ends.max(axis=0) > 0)
     near = np.flatnonzero(on_the_ramp & unknown & np.isin(kinds, ("fixed", "sliding")))
     if not len(near):
@@ -248,7 +253,7 @@ def _springs(space, skull, depth, kinds, material, unknown):
     distance = depth(rim.points)
     x = np.clip(distance / skull.ramp_mm, 0, 0.999) if skull.ramp_mm > 0 else np.zeros(len(distance))
     cell = split.cell[rim.parts]
-    beyond = STRADDLE_PENALTY * material.stiffness_in(cell)[:, 0, 0] / space.mesh.sizes[cell]
+    beyond = STRADDLE_PENALTY * material.p_wave_in(cell) / space.mesh.sizes[cell]
     k = weights * np.where(distance >= skull.ramp_mm, beyond, material.young_in(cell) / RAMP_STIFFNESS_MM * x / (1 - x))
     slides = kinds[rim.facet] == "sliding"
     if not slides.any():
@@ -264,7 +269,7 @@ def _spring_matrix(space, rim, k):
     on = np.flatnonzero(k > 0)
     B = space.basis_in(rim.points[on], rim.parts[on])
     scaled = csr_array((B.data * np.repeat(k[on], np.diff(B.indptr)), B.indices, B.indptr), B.shape)
-    return both_components(B.T @ scaled)
+    return each_component(B.T @ scaled, space.mesh.dim)
 
 
 def _drawn(space, measured, weight, pulled, known, material):
@@ -275,13 +280,13 @@ def _drawn(space, measured, weight, pulled, known, material):
     """
     if weight is not None and not 0 < weight < np.inf:
         raise XfemnavError("E408", f"measured displacements have the weight {weight:g} kPa/mm; give a positive number.")
-    b = len(space.parts.rim.parts)
-    facets = np.arange(b) if weight is not None else np.flatnonzero(~(known[:b] & known[b : 2 * b]))
+    every = np.ones(len(space.parts.rim.parts), dtype=bool)
+    facets = np.flatnonzero(every if weight is not None else ~_at_corners(space, known).all(axis=0))
     rim, weights = rim_quadrature(space, facets, pieces=2 if weight is not None else 8)
     also, values = measured_at(space, rim, measured, pulled)
     refuse_nothing(also if weight is not None else np.concatenate([known, also]))
     cell = space.parts.cell[rim.parts]
-    penalty = STRADDLE_PENALTY * material.stiffness_in(cell)[:, 0, 0] / space.mesh.sizes[cell]
+    penalty = STRADDLE_PENALTY * material.p_wave_in(cell) / space.mesh.sizes[cell]
     k = (weight if weight is not None else penalty) * weights * also
     load = space.basis_in(rim.points, rim.parts).T @ (k[:, None] * values)
     return _spring_matrix(space, rim, k), load.ravel()

@@ -5,6 +5,7 @@ held at its mean: its free rigid motions, and only those, are zero in the mean o
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.linalg import qr
@@ -14,7 +15,6 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.minimise import Means
-from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.space import Space
 
 LOOSE = ("refuse", "remove", "hold")
@@ -54,10 +54,10 @@ def sort_out(
     area = np.bincount(table.body, np.bincount(split.part, split.volumes, split.n_parts))
     bodies = np.unique(table.body[~split.removed])
     bodies = bodies[np.argsort(-area[bodies], kind="stable")]
-    motions, work = _rigid_work(space, constraints, springs, bodies)
+    (motions, work), m = _rigid_work(space, constraints, springs, bodies), n_motions(space.mesh.dim)
     fates, removed, held, crumbs = ["fixed"] * len(bodies), np.zeros(split.n_parts, dtype=bool), {}, []
-    while (k := _smallest_free(work)) is not None:
-        parts, free = table.body == bodies[k], _free(work, k)
+    while (k := _smallest_free(work, m)) is not None:
+        parts, free = table.body == bodies[k], _free(work, k, m)
         is_crumb = area[bodies[k]] < np.median(space.mesh.volumes)
         if "fixed" not in fates[1:] and k == 0:
             raise XfemnavError(
@@ -72,10 +72,10 @@ def sort_out(
         elif k not in held:
             _tell(space, cuts, resections, retractions, parts, what, fates[k], loose == "remove")
         if fates[k] == "held":  # perhaps again: a motion of several pieces may ask for more of this one
-            held[k] = np.hstack([held.get(k, np.empty((3, 0))), free])
+            held[k] = np.hstack([held.get(k, np.empty((m, 0))), free])
         removed |= parts & (fates[k] == "removed")
-        own = slice(3 * k, 3 * k + 3)
-        work[own, own] += free @ free.T if fates[k] == "held" else np.eye(3)
+        own = slice(m * k, m * k + m)
+        work[own, own] += free @ free.T if fates[k] == "held" else np.eye(m)
     pieces = []
     for k, body in enumerate(bodies):
         place = _place(split, table.body == body)
@@ -86,7 +86,7 @@ def sort_out(
         warn("W311", f"a loose piece of {crumbs[-1]}{more}, under the size of an element, was cut free and removed.")
     conditions = stack([constraints, at_rest(table, split.removed)], table.n_dof)
     rows = [
-        _held_at_mean(space, table.body == bodies[k], motions[:, 3 * k : 3 * k + 3] @ _span(free))
+        _held_at_mean(space, table.body == bodies[k], motions[:, m * k : m * k + m] @ _span(free))
         for k, free in held.items()
     ]
     means = Means(vstack([C for C, _ in rows]), np.concatenate([pins for _, pins in rows])) if rows else None
@@ -125,42 +125,56 @@ def _tell(space, cuts, resections, retractions, parts, what, fate, removes):
 def free_motions(space: Space, constraints: Constraints, springs, body: int) -> np.ndarray:
     """The rigid motions (n_dof, m) of a body that meet no condition and no spring."""
     motions, work = _rigid_work(space, constraints, springs, [body])
-    return motions @ _free(work, 0)
+    return motions @ _free(work, 0, work.shape[0])
 
 
 def _rigid_work(space, constraints, springs, bodies):
-    """The three rigid motions of each body, (n_dof, 3 b) sparse, and what conditions and springs do to them (3 b, 3 b).
+    """The rigid motions of each body, (n_dof, m b) sparse, and what conditions and springs do to them (m b, m b).
 
+    There are m = d (d + 1) / 2 to a body, d shifts and turns in each plane of two axes.
     One condition may act on several bodies, a mean over a stretch of lip that crossings have cut into pieces: it takes
     one motion from all of them together.
     """
     table, mesh, split = space.enrichment, space.mesh, space.parts
-    area = np.bincount(table.body, np.bincount(split.part, split.volumes, split.n_parts))
+    volume = np.bincount(table.body, np.bincount(split.part, split.volumes, split.n_parts))
     row_body = np.full(table.n_rows, -1)
     row_body[table.dof] = table.body[:, None]
     row_body[table.kind >= BRANCH] = -1
     # A row's length is its unit's and its element's business; whether it is met is not.
     length = np.sqrt(np.asarray(constraints.C.multiply(constraints.C).sum(axis=1)).ravel())
     conditions = constraints.C.multiply(1 / np.maximum(length, 1e-300)[:, None]).tocsr()
-    stiff = np.abs(springs.diagonal()).reshape(-1, 2).max(axis=1)
-    rows, columns, data, scale = [], [], [], np.ones(3 * len(bodies))
+    stiff = np.abs(springs.diagonal()).reshape(-1, mesh.dim).max(axis=1)
+    m, d, parts, scale = n_motions(mesh.dim), mesh.dim, [], []
     for k, body in enumerate(bodies):
         own = np.flatnonzero(row_body == body)
         x = mesh.points[table.node[own]] - mesh.points[table.node[own]].mean(axis=0)
         x = x / np.sqrt((x**2).sum(axis=1).mean())
-        one, none = np.ones(len(own)), np.zeros(len(own))
-        for i, (u, v) in enumerate(((one, none), (none, one), (-x[:, 1], x[:, 0]))):
-            rows.append(np.stack([2 * own, 2 * own + 1], axis=1).ravel())
-            columns.append(np.full(2 * len(own), 3 * k + i))
-            data.append(np.stack([u, v], axis=1).ravel())
+        rows, columns = np.broadcast_arrays(d * own[:, None, None] + np.arange(d)[:, None], m * k + np.arange(m))
+        parts.append((rows.ravel(), columns.ravel(), rigid_motions(x).ravel()))
         # A crumb on the first, soft springs of the skull's ramp would be thrown about; a larger body meets others.
-        grip = stiff.max() if area[body] < np.median(mesh.volumes) else stiff[own].max()
-        scale[3 * k : 3 * k + 3] = np.sqrt(max(grip, 1e-300))
-    at = (np.concatenate(rows), np.concatenate(columns))
-    motions = csr_array((np.concatenate(data), at), (table.n_dof, 3 * len(bodies)))
+        grip = stiff.max() if volume[body] < np.median(mesh.volumes) else stiff[own].max()
+        scale.append(np.full(m, np.sqrt(max(grip, 1e-300))))
+    rows, columns, data = (np.concatenate(each) for each in zip(*parts))
+    scale = np.concatenate(scale)
+    motions = csr_array((data, (rows, columns)), (table.n_dof, m * len(bodies)))
     met = conditions @ motions
     work = (motions.T @ (springs @ motions)).toarray() / (scale[:, None] * scale)
     return motions, work + (met.T @ met).toarray()
+
+
+def n_motions(d: int) -> int:
+    """Number of rigid motions in d dimensions."""
+    return d * (d + 1) // 2
+
+
+def rigid_motions(points) -> np.ndarray:
+    """Displacements (k, d, m) of points (k, d) in each infinitesimal rigid motion: shifts along the axes, and turns of
+    one axis towards a later one."""
+    k, d = points.shape
+    turns = np.zeros((k, d, n_motions(d) - d))
+    for t, (i, j) in enumerate(combinations(range(d), 2)):
+        turns[:, i, t], turns[:, j, t] = -points[:, j], points[:, i]
+    return np.concatenate([np.broadcast_to(np.eye(d), (k, d, d)), turns], axis=2)
 
 
 def _null(work):
@@ -168,63 +182,48 @@ def _null(work):
     return vector[:, value < FREE_MOTION]
 
 
-def _smallest_free(work):
-    """The last body that takes part in a rigid motion that nothing meets; None when all are met."""
-    share = np.sqrt((_null(work) ** 2).sum(axis=1)).reshape(-1, 3).max(axis=1)
+def _smallest_free(work, m):
+    """The last body, of m motions each, that takes part in a rigid motion that nothing meets; None when all are met."""
+    share = np.sqrt((_null(work) ** 2).sum(axis=1)).reshape(-1, m).max(axis=1)
     taking_part = np.flatnonzero(share > PART)
     return int(taking_part[-1]) if len(taking_part) else None
 
 
-def _free(work, k):
-    """Orthonormal motions (3, m) of body k that take part in what nothing meets."""
-    return _span(_null(work)[3 * k : 3 * k + 3])
+def _free(work, k, m):
+    """Orthonormal motions (m, n) of body k that take part in what nothing meets."""
+    return _span(_null(work)[m * k : m * k + m])
 
 
 def _span(motions):
-    """Orthonormal motions (3, m) that span those given (3, n), but for small ones."""
+    """Orthonormal motions (m, r) that span those given (m, n), but for small ones."""
     u, size, _ = np.linalg.svd(motions)
     return u[:, : int((size > PART).sum())]
 
 
 def _held_at_mean(space, parts, motions):
     """A body's mean displacement along its free rigid motions (n_dof, m), as rows C (m, n_dof), and m pins (m,)."""
-    points, weights, owner = _rule(space, parts)
+    points, weights, owner = space.rule(parts[space.parts.part], degree=2)  # a function times a rigid motion
     B = space.basis_in(points, owner)
     along = B @ motions.reshape(B.shape[1], -1)
     C = (B.T @ (weights[:, None] * along)).reshape(motions.shape) / weights.sum()
     # Far apart, and not where there is hardly any tissue.
-    firm = np.sqrt(np.maximum(np.repeat(B.T @ weights, 2), 0))
+    firm = np.sqrt(np.maximum(np.repeat(B.T @ weights, space.mesh.dim), 0))
     _, pivot = qr((motions * firm[:, None]).T, mode="r", pivoting=True)
     return csr_array(C.T), pivot[: motions.shape[1]]
-
-
-def _rule(space, parts):
-    """Points (q, 2) mm, weights (q,) mm^2 and parts (q,): exact for a function times a rigid motion, but at tips."""
-    split = space.parts
-    about_tip = np.isin(split.part, space.branch_parts)
-    plain, about_tip = parts[split.part] & ~about_tip, parts[split.part] & about_tip
-    corners, area, part = split.corners[plain], split.volumes[plain], split.part[plain]
-    points = ((corners + corners[:, [1, 2, 0]]) / 2).reshape(-1, 2)
-    weights, owner = np.repeat(area / 3, 3), np.repeat(part, 3)
-    if about_tip.any():
-        at, w, triangle = tip_rule(split.corners[about_tip], split.fronts.at)
-        points, weights = np.concatenate([points, at]), np.concatenate([weights, w])
-        owner = np.concatenate([owner, split.part[about_tip][triangle]])
-    return points, weights, owner
 
 
 def at_rest(table, parts) -> Constraints:
     """All basis functions of some parts (p,) bool are 0."""
     rows = np.unique(table.dof[parts])
     pick = csr_array((np.ones(len(rows)), (np.arange(len(rows)), rows)), (len(rows), table.n_rows))
-    return vector_rows(pick, np.zeros((len(rows), 2)), SKULL)
+    return vector_rows(pick, np.zeros((len(rows), table.n_dof // table.n_rows)), SKULL)
 
 
 def _place(split, parts):
-    """Centre (2,) mm of the largest triangle of some parts: a place inside them."""
+    """Centre (d,) mm of the largest simplex of some parts: a place inside them."""
     own = np.flatnonzero(parts[split.part])
     return split.corners[own[np.argmax(split.volumes[own])]].mean(axis=0)
 
 
 def _mm(point):
-    return f"({point[0]:.1f}, {point[1]:.1f}) mm"
+    return f"({', '.join(f'{x:.1f}' for x in point)}) mm"

@@ -1,4 +1,4 @@
-"""Quadrature on triangles, adapted to the r^(-1/2) strains at a tip."""
+"""Quadrature on simplices, and on triangles adapted to the r^(-1/2) strains at a tip."""
 
 from functools import cache
 
@@ -22,6 +22,27 @@ def gauss(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss points (n,) in -1..1 and their weights."""
     points, weights = np.polynomial.legendre.leggauss(n)
     return frozen_array(points, float, (n,), "points"), frozen_array(weights, float, (n,), "weights")
+
+
+def simplex_rule(corners, degree: int) -> np.ndarray:
+    """Points (s, q, k) mm in simplices (s, n + 1, k) mm, of equal weight, whose mean is exact up to `degree` 1 or 2."""
+    n = corners.shape[1] - 1
+    if degree == 1:
+        return corners.mean(axis=1, keepdims=True)
+    near = (1 - 1 / np.sqrt(n + 2)) / (n + 1)  # Stroud (1971)
+    return (near * np.ones((n + 1, n + 1)) + (1 - (n + 1) * near) * np.eye(n + 1)) @ corners
+
+
+@cache
+def gauss_in_simplex(dim: int, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Shares (n^dim, dim + 1) of a simplex's corners and weights (n^dim,), of sum 1: Gauss's rule, collapsed."""
+    t, w = gauss(n)
+    u, weights = ((t + 1) / 2,) * dim, np.ones(1)
+    for i in range(dim):
+        weights = np.multiply.outer(weights, w / 2 * (dim - i) * u[i] ** (dim - 1 - i)).ravel()
+    u = np.stack(np.meshgrid(*u, indexing="ij"), axis=-1).reshape(-1, dim)
+    ahead = np.cumprod(np.hstack([np.ones((len(u), 1)), u]), axis=1)  # what is left for the corners from i on
+    return ahead - np.hstack([ahead[:, 1:], np.zeros((len(u), 1))]), weights
 
 
 @cache

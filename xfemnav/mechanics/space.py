@@ -13,6 +13,7 @@ from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.parts import Parts
 from xfemnav.mechanics.branch import branch_functions, branch_gradients, polar
 from xfemnav.mechanics.enrichment import Enrichment
+from xfemnav.mechanics.quadrature import simplex_rule, tip_rule
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +25,12 @@ class Space:
     enrichment: Enrichment
 
     def basis_in(self, points, parts) -> csr_array:
-        """B (k, n_rows) with u = B U at points (k, 2) mm, each taken in the part (k,) given: it decides the lip."""
+        """B (k, n_rows) with u = B U at points (k, d) mm, each taken in the part (k,) given: it decides the lip."""
         at, rows, values = self.values_in(points, parts)
         shape = (len(points), self.enrichment.n_rows)
-        if len(at) == 3 * len(points):  # no branch functions: the rows are complete as they come
-            return csr_array((values, rows, np.arange(0, len(at) + 1, 3)), shape)
+        corners = self.mesh.dim + 1
+        if len(at) == corners * len(points):  # no branch functions: the rows are complete as they come
+            return csr_array((values, rows, np.arange(0, len(at) + 1, corners)), shape)
         return csr_array((values, (at, rows)), shape)
 
     def values_in(self, points, parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,11 +45,27 @@ class Space:
         return (np.concatenate([at, np.repeat(who, 4)]), np.concatenate([rows, more.ravel()]),
                 np.concatenate([hats.ravel(), (weight[:, None] * values).ravel()]))
 
-    def gradient_in(self, points, parts) -> tuple[csr_array, csr_array]:
-        """The two matrices (k, n_rows), 1/mm, of the basis functions' derivatives along the plane's axes."""
-        at, rows, gradients = self._gradients(np.asarray(points, float), np.asarray(parts))
+    def gradient_in(self, points, parts) -> tuple[csr_array, ...]:
+        """The d matrices (k, n_rows), 1/mm, of the basis functions' derivatives along each axis."""
+        at, rows, gradients = self.gradients_in(points, parts)
         shape = (len(points), self.enrichment.n_rows)
-        return tuple(csr_array((gradients[:, i], (at, rows)), shape) for i in (0, 1))
+        return tuple(csr_array((along, (at, rows)), shape) for along in gradients.T)
+
+    def rule(self, chosen, degree: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (q, d) mm, weights (q,) mm^d and parts (q,) for integrals over the `chosen` simplices (s,) bool.
+
+        Exact up to `degree` 1 or 2; where branch functions live by the tips' own rule.
+        """
+        split = self.parts
+        about_tip = np.isin(split.part, self.branch_parts)
+        plain, about_tip = chosen & ~about_tip, np.flatnonzero(chosen & about_tip)
+        points = simplex_rule(split.corners[plain], degree)
+        n, points = points.shape[1], points.reshape(-1, self.mesh.dim)
+        found = points, np.repeat(split.volumes[plain] / n, n), np.repeat(split.part[plain], n)
+        if not len(about_tip):
+            return found
+        points, weights, owner = tip_rule(split.corners[about_tip], split.fronts.at)
+        return tuple(map(np.concatenate, zip(found, (points, weights, split.part[about_tip][owner]))))
 
     @cached_property
     def _entry_start(self):
@@ -60,12 +78,12 @@ class Space:
         return np.unique(self.enrichment.entry_part)
 
     def _hats(self, points, parts):
-        """Nodal shape functions: point (3 k,), row (3 k,), value (k, 3), gradient (k, 3, 2)."""
+        """Nodal shape functions, c = d + 1: point (c k,), row (c k,), value (k, c), gradient (k, c, d)."""
         cell = self.parts.cell[parts]
         gradient = self.mesh.gradients[cell]
         hats = np.einsum("kai,ki->ka", gradient, points - self.mesh.points[self.mesh.cells[cell, 0]])
         hats[:, 0] += 1
-        return np.repeat(np.arange(len(points)), 3), self.enrichment.dof[parts].ravel(), hats, gradient
+        return np.repeat(np.arange(len(points)), hats.shape[1]), self.enrichment.dof[parts].ravel(), hats, gradient
 
     def _entries(self, parts):
         """Entries (e,) of the table of branch functions at each point, and which point (e,) they are at."""
@@ -83,14 +101,16 @@ class Space:
         return rows, branch_functions(r, theta) - table.shift[rows], r, theta
 
     def _ramp(self, values, entry):
-        """The blending ramp of each entry, from its nodal functions' values or gradients (e, 3, ...)."""
+        """The blending ramp of each entry, from its nodal functions' values or gradients (e, d + 1, ...)."""
         return np.einsum("ea,ea...->e...", self.enrichment.entry_ramp[entry], values)
 
-    def _gradients(self, points, parts):
-        """All basis functions at each point: point, row, gradient, as flat arrays."""
-        table = self.enrichment
+    def gradients_in(self, points, parts) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """All basis functions at points (k, d) mm in parts (k,): point (e,), basis function (e,), gradient (e, d)."""
+        table, points, parts = self.enrichment, np.asarray(points, float), np.asarray(parts)
         at, rows, hats, gradient = self._hats(points, parts)
         entry, who = self._entries(parts)
+        if not len(entry):
+            return at, rows, gradient.reshape(len(at), -1)
         more, f, r, theta = self._branch(points[who], entry)
         travel = self.parts.fronts.travel[table.tip[more[:, 0]]]
         frame = np.stack([travel, np.stack([-travel[:, 1], travel[:, 0]], axis=1)], axis=1)
