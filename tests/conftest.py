@@ -14,6 +14,10 @@ from xfemnav.interruption import ENDING
 from xfemnav.pipeline.kernels import settle_kernel_cache
 
 settle_kernel_cache()  # before kernels are imported
+# What a shell has put in the background ignores SIGINT, and with nohup SIGHUP: commands that tests start would too.
+for signum in ENDING:
+    if signal.getsignal(signum) is signal.SIG_IGN:
+        signal.signal(signum, signal.default_int_handler if signum == signal.SIGINT else signal.SIG_DFL)
 settings.register_profile("steady", derandomize=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 
