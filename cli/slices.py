@@ -98,7 +98,7 @@ def read_manifest(path: Path, target: Path) -> list[Item]:
 
 
 def _item(path: Path, number: int, given: list[tuple[str, str]], target: Path) -> Item:
-    from xfemnav.pipeline.runfile import stem
+    from xfemnav.pipeline.names import stem
 
     own, words, home = {}, [], Path(os.path.abspath(path)).parent
     for column, cell in given:

@@ -15,8 +15,8 @@ import pytest
 
 from xfemnav.errors import FAULTS
 from xfemnav.pipeline import errordocs, scenariodocs
+from xfemnav.pipeline.names import NAMES
 from xfemnav.pipeline.report import CHECKS
-from xfemnav.pipeline.runfile import NAMES
 from xfemnav.pipeline.scenario import problems
 from xfemnav_cli.main import cli
 

@@ -7,7 +7,8 @@ from scipy.optimize import minimize
 from scipy.sparse import csc_array, csr_array, eye_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.minimise import Contacts, Means, minimise
+from xfemnav.mechanics.constraints import Contacts, Means
+from xfemnav.mechanics.minimise import minimise
 
 
 def contacts(G, gap):

@@ -8,10 +8,9 @@ from scipy.sparse import csr_array
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.subcells import embed
-from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
+from xfemnav.mechanics.constraints import SKULL, Constraints, Contacts, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import Problem
 from xfemnav.mechanics.space import Space

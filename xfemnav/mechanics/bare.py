@@ -8,9 +8,8 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.mechanics.constraints import Constraints, stack
+from xfemnav.mechanics.constraints import Constraints, Contacts, Means, stack
 from xfemnav.mechanics.contact import join, lip_contacts
-from xfemnav.mechanics.minimise import Contacts, Means
 from xfemnav.mechanics.outline import OutlineConditions, hung
 from xfemnav.mechanics.pieces import at_rest, sort_out
 from xfemnav.mechanics.space import Space

@@ -19,9 +19,8 @@ import numpy as np
 import shapely
 from scipy.sparse import csr_array, vstack
 
-from xfemnav.mechanics.constraints import SKULL, normal_rows
+from xfemnav.mechanics.constraints import SKULL, Contacts, normal_rows
 from xfemnav.mechanics.lips import LEFT, RIGHT, Retraction, hats_at, knots_along, lip_quadrature
-from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.space import Space
 
 #: Knots are so many elements apart, closer than where a blade holds: forces that cannot pull cannot swing either, and

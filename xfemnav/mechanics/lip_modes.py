@@ -13,12 +13,12 @@ from scipy.linalg import blas, lapack
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.constraints import Constraints, refuse_contradiction, stack
+from xfemnav.mechanics.constraints import Constraints, Contacts, refuse_contradiction, stack
 from xfemnav.mechanics.contact import lip_contacts
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.incision import Incision, too_stiff
 from xfemnav.mechanics.lips import Retraction, held_length, held_span, lip_quadrature, lip_rows
-from xfemnav.mechanics.minimise import CONTRADICTION_MM, SETTLED, TOUCH_MM, Contacts, pressed
+from xfemnav.mechanics.minimise import CONTRADICTION_MM, SETTLED, TOUCH_MM, pressed
 
 #: A condition is left out when what it asks beyond the others is smaller than this, relative.
 DEPENDENT = 1e-10

@@ -16,9 +16,9 @@ from scipy.linalg import cho_factor, cho_solve, lstsq, lu_factor, lu_solve
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.mesh import frozen_array
 from xfemnav.interruption import checkpoint
 from xfemnav.limits import RESIDUAL
+from xfemnav.mechanics.constraints import Contacts, Means
 from xfemnav.mechanics.factor import NotPositiveDefinite, factor
 
 #: Largest relative residual of a solution that is given out.
@@ -34,53 +34,6 @@ CONTRADICTION_MM = 1e-6
 RIDGE = 1e-12
 #: Most repetitions on the true gaps; two or three are the rule.
 ROUNDS = 20
-
-
-@dataclass(frozen=True, eq=False)
-class Contacts:
-    """Conditions G U + gap >= 0 mm: `G` (g, n_dof) sparse, `gap` (g,) mm at rest.
-
-    Each is a mean over a hat: `cut` (g,) the cut whose lips it keeps apart, SKULL between outline and skull; `points`
-    (g, 2) mm its place; `hats` (g, 3) mm where the hat begins, peaks and ends along the cut, or beside the point of
-    the outline.
-    """
-
-    G: csr_array
-    gap: np.ndarray
-    cut: np.ndarray
-    points: np.ndarray
-    hats: np.ndarray
-
-    def __post_init__(self):
-        object.__setattr__(self, "G", csr_array(self.G))
-        g = self.G.shape[0]
-        for name, kind, shape in (
-            ("gap", float, (g,)),
-            ("cut", np.int64, (g,)),
-            ("points", float, (g, 2)),
-            ("hats", float, (g, 3)),
-        ):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), kind, shape, name))
-
-    @property
-    def lengths(self) -> np.ndarray:
-        """Length (g,) mm on which each condition's force acts: the hat's integral."""
-        return (self.hats[:, 2] - self.hats[:, 0]) / 2
-
-
-@dataclass(frozen=True, eq=False)
-class Means:
-    """Conditions C U = 0, `C` (m, n_dof), on bodies that move freely without them, with rows over a whole body.
-
-    `pins` (m,): as many degrees of freedom; with these at rest no body can move rigidly.
-    """
-
-    C: csr_array
-    pins: np.ndarray
-
-    def __post_init__(self):
-        object.__setattr__(self, "C", csr_array(self.C))
-        object.__setattr__(self, "pins", frozen_array(self.pins, np.int64, (self.C.shape[0],), "pins"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,10 @@ from scipy.sparse import csr_array
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.mechanics.arcs import Arc, check_kind, facet_kinds
-from xfemnav.mechanics.constraints import SKULL, Constraints, each_component, normal_rows, stack, vector_rows
+from xfemnav.mechanics.constraints import SKULL, Constraints, Contacts, each_component, normal_rows, stack, vector_rows
 from xfemnav.mechanics.contact import join
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.measured import measured_at, refuse_nothing
-from xfemnav.mechanics.minimise import Contacts
 from xfemnav.mechanics.pieces import free_motions
 from xfemnav.mechanics.rim import rim_points, rim_quadrature
 from xfemnav.mechanics.space import Space

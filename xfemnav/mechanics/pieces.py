@@ -12,9 +12,8 @@ from scipy.linalg import qr
 from scipy.sparse import csr_array, vstack
 
 from xfemnav.errors import XfemnavError, warn
-from xfemnav.mechanics.constraints import SKULL, Constraints, stack, vector_rows
+from xfemnav.mechanics.constraints import SKULL, Constraints, Means, stack, vector_rows
 from xfemnav.mechanics.enrichment import BRANCH
-from xfemnav.mechanics.minimise import Means
 from xfemnav.mechanics.space import Space
 
 LOOSE = ("refuse", "remove", "hold")

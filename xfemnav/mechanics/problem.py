@@ -16,13 +16,12 @@ from xfemnav.geometry.resection import Resection
 from xfemnav.geometry.snapping import SNAP
 from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.bare import Bare, without_blades
-from xfemnav.mechanics.constraints import Constraints, stack
+from xfemnav.mechanics.constraints import Constraints, Contacts, Means, stack
 from xfemnav.mechanics.contact import join, lip_contacts
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
 from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
 from xfemnav.mechanics.loads import Gravity, Pressure, dead_loads
-from xfemnav.mechanics.minimise import Contacts, Means
 from xfemnav.mechanics.nitsche import nitsche_load, nitsche_terms
 from xfemnav.mechanics.outline import Skull, hung, skull_conditions
 from xfemnav.mechanics.pieces import Piece, sort_out

@@ -11,8 +11,9 @@ from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.disk import remove_temporaries, scratch, write_together, writing
 from xfemnav.pipeline.inputs import Warned, recorded
 from xfemnav.pipeline.locks import locked
+from xfemnav.pipeline.names import BIDS, public_name, sidecar_name, slug, stem
 from xfemnav.pipeline.result import Result
-from xfemnav.pipeline.runfile import BIDS, DESCRIBED, json_text, public_name, sidecar_name, slug, stem
+from xfemnav.pipeline.runfile import DESCRIBED, json_text
 from xfemnav.pipeline.stage_carry import ending, placed, point_ending
 
 #: What is carried, in words, and what other files of patients may be turned into.

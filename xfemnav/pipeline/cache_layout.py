@@ -19,8 +19,8 @@ from pathlib import Path
 
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.disk import TEMPORARY, UNFINISHED
+from xfemnav.pipeline.names import NAMES, PAGES
 from xfemnav.pipeline.removal import bytes_of, files, folders, open_folder, remove, stranger
-from xfemnav.pipeline.runfile import NAMES, PAGES
 
 MANIFEST = "manifest.json"
 TAG, IN_USE = "CACHEDIR.TAG", "in-use"

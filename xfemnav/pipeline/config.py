@@ -222,7 +222,7 @@ def _path(points, markup: str | None, space: str, file: Path | None, smooth: boo
 
 def _carried(s: "Scenario", files: dict[str, Path]):
     """What goes with the image, and its place; what would be called as another gets a number."""
-    from xfemnav.pipeline.runfile import public_name, stem
+    from xfemnav.pipeline.names import public_name, stem
 
     listed = [("companion", item.kind, item.axes, item.order, f"companion.{i}.image")
               for i, item in enumerate(s.companion)]

@@ -7,7 +7,7 @@ import difflib
 from itertools import chain
 
 from xfemnav.pipeline.flags import tables
-from xfemnav.pipeline.runfile import slug
+from xfemnav.pipeline.names import slug
 
 GRAVITY, OUTLINE = "gravity", "outline"
 

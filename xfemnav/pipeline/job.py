@@ -19,7 +19,8 @@ from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.disk import scratch
 from xfemnav.pipeline.inputs import STEPWISE, Done, Warned, recorded
 from xfemnav.pipeline.kernels import compiling, settle_kernel_cache
-from xfemnav.pipeline.runfile import SCHEMA, OutputFolder, output_folder, stem
+from xfemnav.pipeline.names import SCHEMA, stem
+from xfemnav.pipeline.runfile import OutputFolder, output_folder
 from xfemnav.pipeline.scenario_file import placed, scenario_text
 from xfemnav.pipeline.stage_safe import told
 from xfemnav.pipeline.verdicts import doubts, reasons, stillness, towards, verdicts

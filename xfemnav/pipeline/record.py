@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from xfemnav.errors import FAULTS, XfemnavError
 from xfemnav.imaging.content import file_bytes
-from xfemnav.pipeline.runfile import LIMIT_BYTES, OWN_NAME, RECORD, SCHEMA
+from xfemnav.pipeline.names import LIMIT_BYTES, OWN_NAME, RECORD, SCHEMA
 
 
 def _own_name(name: str) -> str:

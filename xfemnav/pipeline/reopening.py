@@ -6,8 +6,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from xfemnav.errors import XfemnavError
+from xfemnav.pipeline.names import RECORD
 from xfemnav.pipeline.record import read_record
-from xfemnav.pipeline.runfile import RECORD
 from xfemnav.pipeline.scenario import Scenario
 from xfemnav.pipeline.whereabouts import Known, find, inputs_of
 

@@ -8,7 +8,6 @@ before anything public changed leaves a complete earlier result as it is.
 import hashlib
 import json
 import os
-import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,39 +18,19 @@ from xfemnav.imaging.sidecars import SIDECARS
 from xfemnav.pipeline.disk import remove_temporaries, write_atomic, write_together, writing
 from xfemnav.pipeline.keys import file_digest
 from xfemnav.pipeline.locks import locked
+from xfemnav.pipeline.names import (
+    CARRIED,
+    LIMIT_BYTES,
+    NAMES,
+    OWN_NAME,
+    PAGES,
+    RECORD,
+    SCHEMA,
+    WITH_SIDECAR,
+    public_name,
+    sidecar_name,
+)
 
-RECORD = "run.json"
-LONGEST_NAME = 255  # bytes, on the usual file systems
-SCHEMA, LIMIT_BYTES = "xfemnav-run/1", 50_000_000
-BIDS = re.compile(r"(sub-[A-Za-z0-9]+(?:_[a-z]+-[A-Za-z0-9]+)*)_([A-Za-z0-9]+)$")
-#: role: (description entity, suffix; None keeps the image's own, ending)
-NAMES = {
-    "mask": ("brain", "mask", ".nii.gz"),
-    "mesh": (None, "mesh", ".vtu"),
-    "solution": (None, "solution", ".vtu"),
-    "updated": ("updated", None, ".nii.gz"),
-    "cavity": ("cavity", "mask", ".nii.gz"),
-    "overlap": ("overlap", "mask", ".nii.gz"),
-    "field": ("field", "xfm", ".nii.gz"),
-    "lips": ("lips", "dseg", ".nii.gz"),
-    "transform": ("updated", "xfm", ".h5"),
-    "transform-extended": ("extended", "xfm", ".h5"),
-    "field-nrrd": ("fieldnrrd", "xfm", ".nrrd"),
-    "field-nifti": ("fielditk", "xfm", ".nii.gz"),
-    "forward-nrrd": ("forward", "xfm", ".nrrd"),
-    "cuts": ("cuts", "markups", ".mrk.json"),
-    "companion": ("updated", None, ".nii.gz"),
-    "points": ("updated", "points", ""),
-    "points-markups": ("updated", "points", ".mrk.json"),
-    "streamlines": ("updated", "streamlines", ""),
-    "surfaces": ("updated", "surfaces", ""),
-}
-WITH_SIDECAR = (".nii.gz", ".nrrd", ".h5")
-PAGES = {"figure": ("figure", ".png"), "report": ("report", ".html"), "scenario": ("scenario", ".toml")}
-#: Roles whose files are named after a carried file, not after the image.
-CARRIED = ("companion", "points", "streamlines", "surfaces")
-#: Those of them whose own suffix says what they are of (pial, white), and is kept where they have one.
-OWN_SUFFIX = ("surfaces",)
 DESCRIBED = SIDECARS | {
     "mask": {"Description": "Organ in the slice, holes filled", "Type": "Brain"},
     "updated": {"Description": "The slice after the cut and retraction"},
@@ -62,60 +41,10 @@ DESCRIBED = SIDECARS | {
     "companion": {"Description": "Another image of the patient after the motion, on the grid of the updated slice"},
 }
 
-#: What a run calls its files: `public_name` of any image, step and carried file, and their sidecars.
-OWN_NAME = re.compile("|".join([
-    *(rf"{name}(_step-\w+)?{re.escape(ending)}" for name, ending in PAGES.values()),
-    *(r"[^/\0]*" + (f"_desc-{what}" if what else "")
-      + (f"_{suffix}" if suffix and role not in OWN_SUFFIX else "(_[^/]+)?")
-      + (f"({re.escape(ending)}|[.]json)" if ending else r"[.]\w[\w.]*")
-      for role, (what, suffix, ending) in NAMES.items())]))
-
 
 def json_text(value: dict) -> str:
     """JSON text of a public file: readable, and the same for the same value."""
     return json.dumps(value, indent=2, sort_keys=True, allow_nan=False) + "\n"
-
-
-def stem(image: Path) -> str:
-    """Name of an image, point file, tractogram or surface without its ending."""
-    endings = (r"\.(nii|nrrd|nhdr|mha|mhd|mgz|mgh|mrk\.json|json|fcsv|csv|tsv|tag|trk|tck|"
-               r"stl|vtk|vtp|surf\.gii|gii|obj|ply)(\.gz)?$")
-    return re.sub(endings, "", image.name, flags=re.IGNORECASE)
-
-
-def slug(name: str) -> str:
-    """The letters and digits of a name: what a file name holds of it."""
-    return re.sub(r"[^A-Za-z0-9]+", "", name)
-
-
-def public_name(image: Path, role: str, source: str = "") -> str:
-    """File name of an output: BIDS names keep their suffix (sub-01_T1w -> sub-01_desc-updated_T1w).
-
-    A role "what:which" is of the step, or of the carried file, called `which`; points, streamlines and surfaces keep
-    the ending of their `source`, and surfaces their suffix, which says what they are of.
-    """
-    what, _, which = role.partition(":")
-    carried = which and what.partition("-")[0] in CARRIED
-    step = f"step-{slug(which)}" if which and not carried else None
-    if what in PAGES:
-        name, ending = PAGES[what]
-        return "_".join(filter(None, (name, step))) + ending
-    description, suffix, ending = NAMES[what]
-    match = BIDS.match(which if carried else stem(image))
-    base, own = match.groups() if match else (which if carried else stem(image), None)
-    if match and description:
-        base = re.sub(r"_desc-[A-Za-z0-9]+", "", base)
-    suffix = own or suffix if carried and what in OWN_SUFFIX else suffix or own
-    parts = [step, description and f"desc-{description}", suffix]
-    tail = "".join(f"_{part}" for part in parts if part) + (ending or source)
-    while max(len(os.fsencode(name)) for name in (base + tail, sidecar_name(base + tail))) > LONGEST_NAME:
-        base = base[:-1]
-    return base + tail
-
-
-def sidecar_name(name: str) -> str:
-    """Name of the JSON beside an image or a transform."""
-    return re.sub(r"\.(nii\.gz|nrrd|h5)$", "", name) + ".json"
 
 
 def _record_in(path: Path) -> dict | None:

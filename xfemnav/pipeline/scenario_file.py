@@ -11,7 +11,7 @@ from pathlib import Path
 
 from xfemnav.naming import flag
 from xfemnav.pipeline.flags import path_places, printed
-from xfemnav.pipeline.runfile import PAGES
+from xfemnav.pipeline.names import PAGES
 
 NAME = "".join(PAGES["scenario"])
 AGAIN = f"xfemnav run {flag('scenario', NAME)} {flag('output', 'OTHER')}"

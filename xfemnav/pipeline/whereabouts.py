@@ -14,7 +14,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import file_bytes
 from xfemnav.pipeline.flags import FLAGS, printed
 from xfemnav.pipeline.keys import digest, file_digest
-from xfemnav.pipeline.runfile import PAGES, RECORD
+from xfemnav.pipeline.names import PAGES, RECORD
 from xfemnav.pipeline.scenario_file import seen_from, whole
 
 ALONE = (".nii", ".nii.gz", ".mgz", ".mgh")  # one file is the image: no library is needed to digest it
