@@ -33,6 +33,7 @@ from benchmarks.verification import cases, fields, retraction
 from benchmarks.verification.outcome import energy_error
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim, supports, traction_load
 from xfemnav.geometry.cut import place_cut
+from xfemnav.mechanics import rules
 from xfemnav.mechanics.fracture import stress_intensity
 from xfemnav.mechanics.incision import incise
 from xfemnav.mechanics.lip_modes import lip_modes
@@ -133,7 +134,7 @@ def retracted(mesh, enrichment):
 def live(organ, enrichment):
     """Problem p for a cut in an organ that was condensed before: its motion and the cut's unknowns."""
     cut, blades = retraction.drawn(organ.mesh, HELD)
-    incision = incise(organ, (cut,), enrichment)
+    incision = incise(organ, (cut,), rules.Basis(enrichment))
     modes = lip_modes(incision, blades)
     answer = modes.free(np.concatenate([[*blade.displacement_mm, 0.0] for blade in blades]))
     U, own = (field[..., 0] for field in modes.carried(answer.u[:, None]))

@@ -29,8 +29,8 @@ from xfemnav import Session
 from xfemnav.geometry.cut import place_cut
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solution import solve
 
 PAGE = Path(__file__).parents[1] / "docs" / "live.md"

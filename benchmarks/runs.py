@@ -30,8 +30,8 @@ from xfemnav.imaging.outline import outline_of
 from xfemnav.imaging.warp import covered, enclosed, pull_back, update
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solution import solve
 
 REPEATS, SIDE, PIXEL_MM = 5, 512, 0.36

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.meshes import BRAIN
+from tests.meshes import BRAIN, posed
 from tests.test_random_networks import draw_problem, place
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.solution import solve
 
 KEPT = Path(__file__).with_name("former.npz")
@@ -24,7 +23,7 @@ def answer(seed: int, shaken: float = 0.0) -> np.ndarray | None:
         mesh = Mesh(mesh.points + shaken * np.random.default_rng(seed).normal(size=mesh.points.shape), mesh.cells)
         asked = draw_problem(cuts, resections, np.random.default_rng([seed, 1]))
         try:
-            found = solve(pose(mesh, cuts, BRAIN, resections=resections, **asked))
+            found = solve(posed(mesh, cuts, BRAIN, resections=resections, **asked))
         except XfemnavError:
             return None
     forces = [(*each.force_mN_per_mm, each.mean_pressure_kPa) for each in found.retractor]

@@ -1,6 +1,7 @@
 """Meshes and problems that several test files share: jittered rectangles, regular grids, meshed outlines."""
 
 import functools
+from dataclasses import fields, replace
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -12,7 +13,8 @@ from xfemnav.geometry.mesh import Mesh, orient
 from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.outline import Skull
+from xfemnav.mechanics.problem import Problem, pose
+from xfemnav.mechanics.rules import Basis, LipRules, Loads, Measured, Rules, Skull
 from xfemnav.mechanics.space import Space
 
 BRAIN = Material()
@@ -63,7 +65,20 @@ def cut_in(mesh, *path, **kind) -> Cut:
 def space_of(mesh, *cuts, tip_enrichment="topological") -> Space:
     """The finite element space of a mesh with cuts."""
     split = embed(mesh, cuts)
-    return Space(mesh, split, enrich(mesh, split, tip_enrichment))
+    return Space(mesh, split, enrich(mesh, split, Basis(tip_enrichment)))
+
+
+def posed(mesh, cuts, material, skull, retractions=(), *, resections=(), **said) -> Problem:
+    """`pose` with the fields of its values by their names; measured motion of the outline as rows and their weight."""
+    rows, weight = said.pop("boundary_displacement", None), said.pop("boundary_weight", None)
+    if rows is not None:
+        skull = replace(skull, measured=Measured(rows, weight))
+
+    def of(kind):
+        return kind(**{field.name: said.pop(field.name) for field in fields(kind) if field.name in said})
+
+    basis, lips, loads = of(Basis), of(LipRules), of(Loads)
+    return pose(mesh, cuts, material, skull, retractions, resections, loads, Rules(basis, lips, **said))
 
 
 def measured_outline(mesh, cut, u) -> np.ndarray:

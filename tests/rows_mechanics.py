@@ -7,7 +7,7 @@ import numpy as np
 import xfemnav
 from data_synthetic import domains
 from tests import small
-from tests.meshes import BRAIN
+from tests.meshes import BRAIN, posed
 from tests.rows import Row
 from tests.test_free_pieces import outcome
 from tests.test_measured import change, measured, symmetric
@@ -15,9 +15,7 @@ from tests.test_slivers import BOX, DOWN, OPEN
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.distmesh import distmesh
-from xfemnav.mechanics.loads import Gravity
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Gravity, Skull
 from xfemnav.mechanics.solution import solve
 
 
@@ -36,7 +34,7 @@ def contact_on_springs(folder):
     told = sum("W410" in item.told for item in found)
     mesh = distmesh(domains.disc(40), 5.0)
     try:
-        solve(pose(mesh, (), BRAIN, Skull("contact", 35.0), gravity=Gravity((0.0, -1.0)), craniotomies=((0.0, -40.0),)))
+        solve(posed(mesh, (), BRAIN, Skull("contact", 35.0, openings=((0.0, -40.0),)), gravity=Gravity((0.0, -1.0))))
     except XfemnavError as error:
         assert error.code == "E406"
         return f"12 of 12 random organs solved, {told} of them told of; what falls out is refused", "W410, E406"
@@ -48,7 +46,7 @@ def told(cuts, retractions=()):
     """Codes of the warnings that a problem brings."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        pose(BOX, cuts, BRAIN, Skull("fixed", 5.0, 2.0), retractions)
+        posed(BOX, cuts, BRAIN, Skull("fixed", 5.0, 2.0), retractions)
     return [item.message.code for item in found]
 
 

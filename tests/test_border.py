@@ -8,13 +8,13 @@ from numpy.testing import assert_allclose
 
 import xfemnav
 from tests.images import slice_of
-from tests.meshes import BRAIN, cut_in, disc, space_of
+from tests.meshes import BRAIN, cut_in, disc, posed, space_of
 from tests.small import RAS, brain, write
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.imaging.segment import segment
 from xfemnav.imaging.slices import touching
-from xfemnav.mechanics.outline import Skull, skull_conditions
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.outline import skull_conditions
+from xfemnav.mechanics.rules import Skull
 from xfemnav.pipeline.session import Session
 
 COARSE = {"element_size_mm": 6.0, "corridor_element_mm": 3.0}
@@ -93,6 +93,6 @@ def test_only_what_lies_on_the_border_is_refused():
     mesh = disc()
     cut = cut_in(mesh, (3, 80), (1.7, 12.3))
     y = cut.path[0, 1]
-    pose(mesh, (cut,), BRAIN, Skull(border=((-99.0, -99.0), (99.0, y - 2.0), 1.0)))
+    posed(mesh, (cut,), BRAIN, Skull(border=((-99.0, -99.0), (99.0, y - 2.0), 1.0)))
     with pytest.raises(XfemnavError, match="E302"):
-        pose(mesh, (cut,), BRAIN, Skull(border=((-99.0, -99.0), (99.0, y + 0.2), 1.0)))
+        posed(mesh, (cut,), BRAIN, Skull(border=((-99.0, -99.0), (99.0, y + 0.2), 1.0)))

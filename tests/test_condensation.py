@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from data_synthetic import domains
-from tests.meshes import BRAIN, cut_in, outline
+from tests.meshes import BRAIN, cut_in, outline, posed
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
@@ -19,8 +19,7 @@ from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
 from xfemnav.mechanics.lip_modes import lip_modes
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.live_motion import LiveMotion, Soup
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Basis, LipRules, Skull
 from xfemnav.mechanics.solution import solve
 
 # Both solve the same equations in another order; what remains is rounding times the condition of either, and the mark
@@ -28,6 +27,7 @@ from xfemnav.mechanics.solution import solve
 ROUNDING_MM = 1e-9
 PLAN = np.array([[0.0, 76.0], [1.0, 32.0]])
 SKULL = Skull(craniotomy_mm=15.0)
+POINTWISE = LipRules(lip_constraint="pointwise")
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +44,9 @@ def both(mesh, organ, cut, left, right, lips="contact", **how):
     """The batch's solution, and the nodes' displacements, the triangles and the blades' forces of the condensed one."""
     moves = {1: left, -1: right}
     blades = tuple(Retraction(0, side, displacement_mm=move, blade=(0.1, 0.7)) for side, move in moves.items() if move)
-    whole = solve(pose(mesh, (cut,), organ.material, organ.skull, blades, lips=lips, **how))
-    incision = incise(organ, (cut,), how.get("tip_enrichment", "topological"))
-    modes = lip_modes(incision, blades, how.get("lip_constraint", "mortar"))
+    whole = solve(posed(mesh, (cut,), organ.material, organ.skull, blades, lips=lips, **how))
+    incision = incise(organ, (cut,), Basis(how.get("tip_enrichment")))
+    modes = lip_modes(incision, blades, LipRules(lip_constraint=how.get("lip_constraint", "mortar")))
     amounts = np.concatenate([[*move, 0.0] for move in moves.values() if move])
     answer = modes.free(amounts)
     if lips == "contact" and (pressing := modes.pressing(amounts)) is not None:
@@ -74,7 +74,7 @@ def test_compliance_is_the_inverse_of_the_stiffness(mesh, organ):
     forces[nodes, :, 0] = np.random.default_rng(0).normal(size=(12, 2))
     u = organ.solve(forces)
     assert_allclose(G @ forces[nodes].ravel(), u[nodes].ravel(), atol=1e-12 * np.abs(u).max())
-    space = pose(mesh, (), BRAIN, SKULL).space
+    space = posed(mesh, (), BRAIN, SKULL).space
     inner = np.setdiff1d(np.arange(len(mesh.points)), mesh.boundary_facets)
     back = (stiffness(space, BRAIN) @ u.ravel()).reshape(-1, 2)
     assert_allclose(back[inner], forces[inner, :, 0], atol=1e-10 * np.abs(forces).max())
@@ -167,13 +167,13 @@ def test_lips_against_the_skull_contradict_it_as_in_a_run(mesh):
     cut = place_cut(np.array([(0.0, 76.0), (1.0, 36.0)]), outline(mesh), craniotomy=False)
     blades = tuple(Retraction(0, side, displacement_mm=(side * 2.0, 0.0), blade=(0.0, 0.7)) for side in (1, -1))
     with pytest.raises(XfemnavError, match="E403"):
-        solve(pose(mesh, (cut,), BRAIN, SKULL, blades, lip_constraint="pointwise"))
-    modes = lip_modes(incise(organ, (cut,)), blades, "pointwise")
+        solve(posed(mesh, (cut,), BRAIN, SKULL, blades, lip_constraint="pointwise"))
+    modes = lip_modes(incise(organ, (cut,)), blades, POINTWISE)
     with pytest.raises(XfemnavError, match="E403"):
         modes.free(np.array([2.0, 0.0, 0.0, -2.0, 0.0, 0.0]))
     assert np.abs(modes.free(np.zeros(6)).u).max() == 0
     held = [replace(blade, blade=(0.2, 0.7)) for blade in blades]
-    assert np.abs(lip_modes(incise(organ, (cut,)), held, "pointwise").missed).max(initial=0.0) < 1e-9
+    assert np.abs(lip_modes(incise(organ, (cut,)), held, POINTWISE).missed).max(initial=0.0) < 1e-9
 
 
 def test_the_compliance_grows_with_cuts_that_go_farther(mesh):

@@ -224,7 +224,7 @@ def test_measured_boundary_is_read_or_refused(tmp_path, header, rows, code):
         refused(code, "head.nii", flags=flags)
         return
     read = configure("head.nii", flags=flags)
-    assert len(read.constrain.boundary_displacement) == 2
+    assert len(read.constrain.skull.measured.rows) == 2
     path.write_text(path.read_text(), encoding="utf-8-sig")  # with the mark that spreadsheets put first
     assert configure("head.nii", flags=flags).constrain == read.constrain
     assert "boundary.displacement" in refused("E780", "head.nii", flags=flags | {"space": "voxel"})

@@ -9,7 +9,7 @@ from benchmarks.verification.contact import closed_crack, pressed
 from benchmarks.verification.fields import inclined_crack
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
 from tests import cuts as networks
-from tests.meshes import BRAIN, FREE, HARD_SKULL, cut_in, disc, grid, jittered, mapped, measured_outline, outline
+from tests.meshes import BRAIN, FREE, HARD_SKULL, cut_in, disc, grid, jittered, mapped, measured_outline, outline, posed
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.resection import place_resection
@@ -17,9 +17,7 @@ from xfemnav.imaging.warp import pull_back
 from xfemnav.mechanics.contact import lip_contacts, lip_pressure
 from xfemnav.mechanics.elasticity import Material, stiffness
 from xfemnav.mechanics.lips import Retraction, lip_quadrature
-from xfemnav.mechanics.loads import Gravity
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Gravity, Skull
 from xfemnav.mechanics.solution import solve
 
 MESH = disc(70.0, 4.0)
@@ -127,12 +125,12 @@ def test_what_presses_one_side_presses_the_other_back_along_the_normal(name):
 def test_a_lip_pushed_against_the_other_takes_it_along(push):
     """One blade, the other lip free: without contact it stays behind and the blade's side passes through it."""
     blade = (Retraction(0, 1, displacement_mm=(push, 0.0), blade=(0, 0.7)),)
-    problem = pose(MESH, (CUT,), BRAIN, Skull(), blade)
+    problem = posed(MESH, (CUT,), BRAIN, Skull(), blade)
     solution = solve(problem)
     laws(problem, solution)
     gap = lip_gaps(problem.space, solution.U, 0)[1]
     assert gap.min() > -0.05 * abs(push)  # between the means, on 4 mm elements
-    through = solve(pose(MESH, (CUT,), BRAIN, Skull(), blade, lips="free"))
+    through = solve(posed(MESH, (CUT,), BRAIN, Skull(), blade, lips="free"))
     assert lip_gaps(problem.space, through.U, 0)[1].min() < 0.9 * push
     # The other lip's resistance is what the retractor has to overcome.
     assert abs(solution.retractor[0].force_mN_per_mm[0]) > 1.2 * abs(through.retractor[0].force_mN_per_mm[0])
@@ -142,15 +140,15 @@ def test_a_lip_pushed_against_the_other_takes_it_along(push):
 
 def test_a_lip_pulled_away_opens_as_if_it_were_alone():
     blade = (Retraction(0, 1, displacement_mm=(3.5, -1.0), blade=(0, 0.7)),)
-    both = [solve(pose(MESH, (CUT,), BRAIN, HARD_SKULL, blade, lips=lips)) for lips in ("contact", "free")]
+    both = [solve(posed(MESH, (CUT,), BRAIN, HARD_SKULL, blade, lips=lips)) for lips in ("contact", "free")]
     assert_allclose(both[0].U, both[1].U, atol=1e-12)
     assert both[0].contact == () and both[0].min_gap_mm > 0 and both[1].min_gap_mm is None
 
 
 def test_the_mirror_image_of_a_push_is_the_push_of_the_other_lip():
     mirror = np.diag([-1.0, 1.0])
-    one = solve(pose(MESH, (CUT,), BRAIN, Skull(), (Retraction(0, 1, displacement_mm=(-2, 0.3), blade=(0, 0.5)),)))
-    other = solve(pose(mapped(MESH, mirror), (Cut(CUT.path * (-1, 1)),), BRAIN, Skull(),
+    one = solve(posed(MESH, (CUT,), BRAIN, Skull(), (Retraction(0, 1, displacement_mm=(-2, 0.3), blade=(0, 0.5)),)))
+    other = solve(posed(mapped(MESH, mirror), (Cut(CUT.path * (-1, 1)),), BRAIN, Skull(),
                        (Retraction(0, -1, displacement_mm=(2, 0.3), blade=(0, 0.5)),)))
     n = len(MESH.points)
     assert_allclose(other.U[:n], one.U[:n] @ mirror, atol=1e-7)
@@ -162,7 +160,7 @@ def test_weight_closes_a_cut_and_does_not_push_it_through_itself():
     cut = cut_in(MESH, (-80, 3), (10, 2))
     weight = Gravity((0.0, -1.0), density=20_000.0)
     problem, through = (
-        pose(MESH, (cut,), BRAIN, Skull(craniotomy_mm=45.0), gravity=weight, lips=lips) for lips in ("contact", "free")
+        posed(MESH, (cut,), BRAIN, Skull(craniotomy_mm=45.0), gravity=weight, lips=lips) for lips in ("contact", "free")
     )
     solution = solve(problem)
     laws(problem, solution)
@@ -175,7 +173,7 @@ def test_weight_closes_a_cut_and_does_not_push_it_through_itself():
 def test_a_force_on_one_lip_is_borne_by_the_other():
     """Pressed by a force and not held, both lips are in contact under the blade; without contact they overlap."""
     blade = (Retraction(0, 1, force_mN_per_mm=(-4.0, 0.0), blade=(0, 0.6)),)
-    problem = pose(MESH, (CUT,), BRAIN, Skull(), blade)
+    problem = posed(MESH, (CUT,), BRAIN, Skull(), blade)
     solution = solve(problem)
     laws(problem, solution)
     assert solution.contact[0].length_mm > 0.4 * CUT.length
@@ -183,7 +181,7 @@ def test_a_force_on_one_lip_is_borne_by_the_other():
 
 def test_where_both_lips_are_held_nothing_is_asked_of_contact():
     both = tuple(Retraction(0, s, displacement_mm=(s, 0.0), blade=b) for s, b in ((1, (0, 0.5)), (-1, (0.2, 0.7))))
-    problem = pose(MESH, (CUT,), BRAIN, Skull(), both)
+    problem = posed(MESH, (CUT,), BRAIN, Skull(), both)
     a1, b0 = problem.spans[0, 1], problem.spans[1, 0]
     hats = problem.contacts.hats
     assert not ((hats[:, 2] > b0 + 1e-9) & (hats[:, 0] < a1 - 1e-9)).any()
@@ -196,7 +194,7 @@ def test_hats_begin_anew_at_bends_and_branches_but_not_on_curves():
     bent = cut_in(BLOCK, (-1, 5), (4.4, 5), (7.9, 8.1))
     branch = (cut_in(BLOCK, (-1, 5), (8.2, 5)), Cut([(5.3, 5.0), (6.8, 7.7)], mouth=False))
     for cuts, breaks in (((curved,), []), ((bent,), [4.4]), (branch, [5.3])):
-        problem = pose(BLOCK, cuts, BRAIN, Skull("fixed", 0.0, 0.0))
+        problem = posed(BLOCK, cuts, BRAIN, Skull("fixed", 0.0, 0.0))
         hats = problem.contacts.hats[problem.contacts.cut == 0]
         begins = hats[(hats[:, 0] == hats[:, 1]), 0]
         assert_allclose(begins, [0.0, *breaks], atol=1e-6)
@@ -207,7 +205,7 @@ def test_hats_begin_anew_at_bends_and_branches_but_not_on_curves():
 def test_beside_removed_tissue_there_is_no_lip_to_touch():
     loop = outline(BLOCK)
     hole = place_resection([[(3.2, 3.1), (6.3, 3.1), (6.3, 6.4), (3.2, 6.4)]], loop)
-    problem = pose(BLOCK, (cut_in(BLOCK, (-1, 4.9), (9.1, 5.1)),), BRAIN, Skull("fixed", 1.0), resections=(hole,))
+    problem = posed(BLOCK, (cut_in(BLOCK, (-1, 4.9), (9.1, 5.1)),), BRAIN, Skull("fixed", 1.0), resections=(hole,))
     beside = (problem.contacts.hats[:, 0] < 6.2) & (problem.contacts.hats[:, 2] > 3.3)
     assert len(problem.contacts.gap) and not beside.any()
 
@@ -215,7 +213,7 @@ def test_beside_removed_tissue_there_is_no_lip_to_touch():
 @pytest.mark.filterwarnings("ignore:W311")
 def test_what_is_removed_presses_on_nothing():
     """A crumb that a cut across a corner frees stays where it is, in no result: it is no wall."""
-    problem = pose(grid(10, 10.0), (Cut([(0.0, 9.55), (0.45, 10.0)]),), BRAIN, Skull("fixed", 3.0, 0.0))
+    problem = posed(grid(10, 10.0), (Cut([(0.0, 9.55), (0.45, 10.0)]),), BRAIN, Skull("fixed", 3.0, 0.0))
     assert problem.removed.any() and problem.contacts is None
 
 
@@ -223,7 +221,7 @@ def test_mean_gaps_are_exact_for_rigid_halves():
     """Halves of a block moved apart: every mean gap is that of the middle of its hat's weight."""
     cut = cut_in(BLOCK, (-1, 3.713), (11, 6.291))
     measured = measured_outline(BLOCK, cut, lambda x, side: side[:, None] * np.array([0.1, 0.3]))
-    problem = pose(BLOCK, (cut,), BRAIN, FREE, boundary_displacement=measured)
+    problem = posed(BLOCK, (cut,), BRAIN, FREE, boundary_displacement=measured)
     along = (cut.path[-1] - cut.path[0]) / cut.length
     opening = 2 * np.array([0.1, 0.3]) @ [-along[1], along[0]]
     solution = solve(problem)
@@ -256,7 +254,7 @@ def test_a_closed_crack_in_compression_slides_and_does_not_open(angle):
 
 
 def test_contact_needs_no_conditions_without_lips():
-    problem = pose(MESH, (), BRAIN, Skull())
+    problem = posed(MESH, (), BRAIN, Skull())
     assert problem.contacts is None and solve(problem).contact == ()
     none = np.zeros(problem.parts.n_parts, dtype=bool)
     assert not len(lip_contacts(problem.space, (), np.empty((0, 2)), none).gap)
@@ -264,7 +262,7 @@ def test_contact_needs_no_conditions_without_lips():
 
 def test_an_unknown_word_is_refused():
     with pytest.raises(ValueError, match="magic"):
-        pose(MESH, (CUT,), BRAIN, Skull(), lips="magic")
+        posed(MESH, (CUT,), BRAIN, Skull(), lips="magic")
 
 
 # The battery: every awkward cut, pressed in four ways -----------------------------------------------------------------
@@ -302,7 +300,7 @@ def survives(name, k):
         return 0
     for retractions, skull, kind in pressings(mesh, k).values():
         try:
-            problem = pose(mesh, cuts, BRAIN, skull, retractions, tip_enrichment=enrichment, **kind)
+            problem = posed(mesh, cuts, BRAIN, skull, retractions, tip_enrichment=enrichment, **kind)
             solution = solve(problem)
         except XfemnavError as error:
             assert error.code in LISTED, f"{name} {k}: {error}"

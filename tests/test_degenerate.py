@@ -10,11 +10,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests import cuts
-from tests.meshes import BRAIN, FREE, cut_in, grid, jittered, mapped, outline
+from tests.meshes import BRAIN, FREE, cut_in, grid, jittered, mapped, outline, posed
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.lips import Retraction, lip_quadrature
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solution import solve
 
 MESHES = [jittered(12.0, 10.0, 1.0, j, seed=int(100 * j)) for j in (0.0, 0.25, 0.35)] + [grid(10, 10.0)]
@@ -40,7 +39,7 @@ def pulled(mesh, placed):
     """Energy of the first cut opened by forces on its lips: a lost cut would not give way, so store less."""
     force = (Retraction(0, 1, force_mN_per_mm=(0, 1.0), blade=(0, 0.4)),
              Retraction(0, -1, force_mN_per_mm=(0, -1.0), blade=(0, 0.4)))
-    return solve(pose(mesh, placed, BRAIN, SKULL, force)).energy
+    return solve(posed(mesh, placed, BRAIN, SKULL, force)).energy
 
 
 def survives(name, k):
@@ -49,7 +48,7 @@ def survives(name, k):
     try:
         placed = place(mesh, network)
         held = tuple(Retraction(0, s, normal_mm=0.2, blade=(0, 0.4)) for s in (1, -1))
-        problem = pose(mesh, placed, BRAIN, SKULL, held, lip_constraint=LIPS[k // len(MESHES) % 3])
+        problem = posed(mesh, placed, BRAIN, SKULL, held, lip_constraint=LIPS[k // len(MESHES) % 3])
         split = problem.parts
         assert (split.volumes > 0).all()
         cell = np.bincount(split.cell[split.part], split.volumes, len(mesh.cells))
@@ -87,7 +86,7 @@ def stretched(mesh, placed):
     loop = outline(mesh)
     ends = loop[(loop[:, 1] == loop[:, 1].min()) | (loop[:, 1] == loop[:, 1].max())]
     measured = np.column_stack([ends, 0.01 * ends * (0.0, 1.0)])
-    return solve(pose(mesh, placed, BRAIN, FREE, boundary_displacement=measured)).energy
+    return solve(posed(mesh, placed, BRAIN, FREE, boundary_displacement=measured)).energy
 
 
 @pytest.mark.filterwarnings("ignore::xfemnav.errors.XfemnavWarning")

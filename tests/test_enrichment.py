@@ -14,6 +14,7 @@ from tests.meshes import cut_in, disc, grid, jittered, outline, space_of
 from xfemnav.geometry.cut import Cut, place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, STANDARD, enrich
+from xfemnav.mechanics.rules import Basis
 
 THIN = 1e-9  # mm: the slit that stands for the cut when supports are taken apart by polygon arithmetic
 
@@ -180,7 +181,7 @@ def test_tip_functions_ask_the_cut_and_not_the_outline_where_it_ends():
     for cut in (cut_in(mesh, (3, 80), (1.7, 12.3)), cut_in(mesh, (-9.0, 2.0), (9.0, 3.0), internal=True)):
         split = space_of(mesh, cut).parts
         bare = replace(split, rim=split.rim.rows([]))
-        found, expected = (enrich(mesh, each, "geometric", tip_radius_mm=1e3) for each in (bare, split))
+        found, expected = (enrich(mesh, each, Basis("geometric", 1e3)) for each in (bare, split))
         assert np.array_equal(found.node, expected.node)
         # The functions of a tip end before another tip; a mouth does not stop them.
         far = np.linalg.norm(mesh.points[found.node[found.tip == 0]] - split.fronts.at[0], axis=1).max()

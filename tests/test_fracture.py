@@ -7,13 +7,12 @@ import pytest
 
 from data_synthetic.domains import rectangle
 from data_synthetic.fields import Williams
+from tests.meshes import posed
 from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.fracture import PA_SQRT_M, stress_intensity
-from xfemnav.mechanics.loads import Gravity
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Gravity, Skull
 from xfemnav.mechanics.solution import solve
 
 TIP = np.array([0.03, 0.0123])
@@ -38,7 +37,7 @@ def crack(tip_enrichment, h=0.05, stress_state="strain"):
     points = along_outline(1.0)
     side = np.where(points[:, 1] > TIP[1], 1, -1)
     measured = np.column_stack([points, field.displacement(points, side), side])
-    problem = pose(mesh, (cut,), material, Skull(), boundary_displacement=measured, tip_enrichment=tip_enrichment,
+    problem = posed(mesh, (cut,), material, Skull(), boundary_displacement=measured, tip_enrichment=tip_enrichment,
                    tip_radius_mm=0.5)
     return problem, solve(problem)
 
@@ -73,7 +72,7 @@ def test_a_kinked_cut_gives_the_same_intensity_on_every_disc():
     cut = place_cut([[-1.1, -0.68], [-0.12, 0.2], [0.03, -0.03]], mesh.points[mesh.boundary_loops[0]])
     points = along_outline(1.0)
     pulled = np.column_stack([points, 0.003 * points[:, 1], 0.01 * points[:, 1]])[np.abs(points[:, 1]) == 1]
-    problem = pose(
+    problem = posed(
         mesh, (cut,), Material(1.0, 0.3), Skull("free"), boundary_displacement=pulled, tip_enrichment="topological"
     )
     U = solve(problem).U
@@ -86,7 +85,7 @@ def test_no_intensity_is_given_in_tissue_that_weighs():
     mesh = distmesh(rectangle(2, 2), 0.1)
     cut = place_cut([[-1.1, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
     for gravity, tips in ((None, 1), (Gravity((0.0, -1.0)), 0)):
-        problem = pose(mesh, (cut,), Material(1.0, 0.3), Skull("fixed", 0.5, 0.1), gravity=gravity)
+        problem = posed(mesh, (cut,), Material(1.0, 0.3), Skull("fixed", 0.5, 0.1), gravity=gravity)
         assert len(solve(problem).tips) == tips
 
 
@@ -96,5 +95,5 @@ def test_the_disc_keeps_off_what_weighs():
     cut = place_cut([[-1.1, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
     gravity = Gravity((0.0, -1.0), 1000.0, 1000.0, fluid_level_mm=-0.5)
     held = Skull("fixed", 0.5, 0.1)
-    (tip,) = solve(pose(mesh, (cut,), Material(1.0, 0.3), held, gravity=gravity)).tips
+    (tip,) = solve(posed(mesh, (cut,), Material(1.0, 0.3), held, gravity=gravity)).tips
     assert 0.3 < tip.radius_mm < 0.5

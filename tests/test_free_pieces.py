@@ -5,7 +5,7 @@ within the organ's size of its place, and where springs that keep it from drifti
 """
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,16 +13,15 @@ import shapely
 from scipy.optimize import linprog
 
 from data_synthetic import domains
-from tests.meshes import BRAIN, cut_in, disc, outline, turn
+from tests.meshes import BRAIN, cut_in, disc, outline, posed, turn
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.limits import SWAY
 from xfemnav.mechanics import outline as module
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.loads import Gravity
-from xfemnav.mechanics.outline import Arc, Skull
-from xfemnav.mechanics.problem import Problem, pose
+from xfemnav.mechanics.problem import Problem
+from xfemnav.mechanics.rules import Arc, Gravity, Skull
 from xfemnav.mechanics.solution import Solution, solve
 
 
@@ -42,7 +41,7 @@ SHAPES = {
 }
 
 
-def posed(k) -> tuple[Problem, float]:
+def hanging(k) -> tuple[Problem, float]:
     """A random organ in a skull that it touches, whole, cut, or cut in two, and its size mm."""
     rng = np.random.default_rng(k)
     loop = SHAPES[rng.choice(sorted(SHAPES))](rng) @ turn(rng.uniform(0, 2 * np.pi)).T
@@ -55,8 +54,9 @@ def posed(k) -> tuple[Problem, float]:
     skull = Skull("contact", rng.choice([0.0, 2.0, 5.0, 10.0, 15.0]), 4.0, rng.choice([0.0, 0.0, 0.3, 1.0, 3.0]))
     angle, level = rng.uniform(0, 2 * np.pi), rng.uniform(-50, 50) if rng.uniform() < 0.3 else None
     weight = Gravity((np.cos(angle), np.sin(angle)), fluid_level_mm=level)
-    problem = pose(mesh, cuts, Material(rng.choice([1.0, 3.0, 10.0])), skull, gravity=weight,
-                   craniotomies=[mouth] if how == "craniotomy" else ())
+    if how == "craniotomy":
+        skull = replace(skull, openings=(mouth,))
+    problem = posed(mesh, cuts, Material(rng.choice([1.0, 3.0, 10.0])), skull, gravity=weight)
     return problem, float(np.ptp(mesh.points, axis=0).max())
 
 
@@ -93,7 +93,7 @@ class Outcome:
 
 
 def outcome(k) -> Outcome:
-    problem, size = posed(k)
+    problem, size = hanging(k)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         try:
@@ -121,7 +121,7 @@ def test_random_pieces_lie_on_the_skull_or_are_refused_for_a_reason(first, monke
     monkeypatch.setattr(module, "WEAK", module.WEAK / 2)
     for k, before in found.items():
         if before.solution is not None and "W410" not in before.told:
-            after = solve(posed(k)[0])
+            after = solve(hanging(k)[0])
             assert np.linalg.norm(after.moved - before.solution.moved, axis=2).max() < 2 * SWAY.value, k
 
 
@@ -140,8 +140,8 @@ def test_a_small_piece_that_is_pulled_away_does_not_hide_behind_a_large_one():
     cut = cut_in(BOX, (38.0, 35.0), (38.0, -5.0))  # left of it, walking down, is the slab
     pull = Retraction(0, 1, force_mN_per_mm=(0.05, 0.0), blade=(0.0, 1.0))
     weight = Gravity((0.0, -1.0))
-    assert solve(pose(BOX, (cut,), BRAIN, skull, gravity=weight)).max_displacement_mm < 2
-    problem = pose(BOX, (cut,), BRAIN, skull, (pull,), gravity=weight)
+    assert solve(posed(BOX, (cut,), BRAIN, skull, gravity=weight)).max_displacement_mm < 2
+    problem = posed(BOX, (cut,), BRAIN, skull, (pull,), gravity=weight)
     assert 0.05 * np.abs(problem.load).sum() > 0.05
     with pytest.raises(XfemnavError, match=r"E406 nothing holds the piece of 60 mm2 about \(3[89]\."):
         solve(problem)
@@ -151,9 +151,9 @@ def test_tissue_that_moves_farther_than_the_organ_is_large_is_refused():
     """Whatever holds it: an organ a thousand times too soft, in a fixed skull with a large craniotomy."""
     mesh, cut = disc(), cut_in(disc(), (3, 80), (1.7, 12.3))
     skull, weight = Skull("fixed", craniotomy_mm=60.0), Gravity((0.0, 1.0))
-    solve(pose(mesh, (cut,), BRAIN, skull, gravity=weight))
+    solve(posed(mesh, (cut,), BRAIN, skull, gravity=weight))
     with pytest.raises(XfemnavError, match=r"E406 the organ moves by \d+ mm, .* large \(140 mm\)"):
-        solve(pose(mesh, (cut,), Material(0.003), skull, gravity=weight))
+        solve(posed(mesh, (cut,), Material(0.003), skull, gravity=weight))
 
 
 @pytest.mark.parametrize("shape,told", [("disc", True), ("ellipse", False)])
@@ -165,7 +165,7 @@ def test_a_circle_that_contact_alone_holds_is_told_of(shape, told, monkeypatch):
         monkeypatch.setattr(module, "WEAK", weak)
         push = Retraction(0, 1, force_mN_per_mm=(1e-3, 0.0), blade=(0.0, 0.6))
         cut = cut_in(mesh, (1, 60), (0.3, 20))
-        problems.append(pose(mesh, (cut,), BRAIN, Skull("contact", 5.0), (push,), gravity=Gravity((0.0, -1.0))))
+        problems.append(posed(mesh, (cut,), BRAIN, Skull("contact", 5.0), (push,), gravity=Gravity((0.0, -1.0))))
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
         before, after = map(solve, problems)
@@ -176,7 +176,7 @@ def test_a_circle_that_contact_alone_holds_is_told_of(shape, told, monkeypatch):
 
 def test_a_disc_that_turns_out_of_its_contact_is_refused_for_that():
     """At finite strains the contact of the shape at rest lets a disc turn over."""
-    problem = pose(distmesh(domains.disc(40), 5.0), (), BRAIN, Skull("contact"), gravity=Gravity((0.0, -1.0)),
+    problem = posed(distmesh(domains.disc(40), 5.0), (), BRAIN, Skull("contact"), gravity=Gravity((0.0, -1.0)),
                    model="neo-hookean")
     with pytest.raises(XfemnavError, match=r"E406.*turned out of the skull"):
         solve(problem)

@@ -16,12 +16,13 @@ from xfemnav.geometry.solid.split import split
 from xfemnav.mechanics.constraints import SKULL, eliminate, normal_rows, vector_rows
 from xfemnav.mechanics.elasticity import Material, Tissue, hooke, plain_blocks, stiffness
 from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.loads import KPA_PER_MM, Gravity, dead_loads, pressure_load, weight_load
+from xfemnav.mechanics.loads import KPA_PER_MM, dead_loads, pressure_load, weight_load
 from xfemnav.mechanics.minimise import minimise
-from xfemnav.mechanics.outline import Skull, skull_conditions
+from xfemnav.mechanics.outline import skull_conditions
 from xfemnav.mechanics.pieces import free_motions, rigid_motions, sort_out
 from xfemnav.mechanics.quadrature import gauss_in_simplex, simplex_rule
 from xfemnav.mechanics.rim import rim_points
+from xfemnav.mechanics.rules import Gravity, Loads, Skull
 from xfemnav.mechanics.space import Space
 
 SIZES = {2: 5, 3: 3}
@@ -249,7 +250,7 @@ def test_weight_and_pressure_add_up(d):
         load = pressure_load(space, faces.facets, faces.parts, 0.7).reshape(-1, d)
         assert_allclose(load.sum(axis=0), 0, atol=1e-10)
         assert_allclose((load * space.mesh.points[space.enrichment.node]).sum(), 0.7 * d * held, rtol=1e-9)
-    assert_allclose(dead_loads(space, Gravity(tuple(down)), ()), weight.ravel())
+    assert_allclose(dead_loads(space, Loads(Gravity(tuple(down)))), weight.ravel())
 
 
 @both

@@ -11,7 +11,8 @@ from xfemnav.geometry.resection import place_resection
 from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.elasticity import Material, stiffness
 from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.loads import KPA_PER_MM, Gravity, Pressure, dead_loads, pressure_load, weight_load
+from xfemnav.mechanics.loads import KPA_PER_MM, dead_loads, pressure_load, weight_load
+from xfemnav.mechanics.rules import Gravity, Loads, Pressure
 from xfemnav.mechanics.space import Space
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=4)
@@ -62,7 +63,8 @@ def test_a_pressure_acts_on_all_of_a_wall_also_where_two_resections_share_it():
     outer, inner = box(3.3, 3.2, 7.1, 6.4), box(3.3, 3.2, 5.1, 4.4)
     for rings, inner_one in (((outer, inner), 1), ((inner, outer), 0)):
         space, taken = nested(*rings)
-        on = [rigid(space).T @ dead_loads(space, None, (Pressure(2.0, k),), taken) for k in (1 - inner_one, inner_one)]
+        on = [rigid(space).T @ dead_loads(space, Loads(pressures=(Pressure(2.0, k),)), taken)
+              for k in (1 - inner_one, inner_one)]
         assert_allclose(on[0][:2], 0, atol=1e-3)
         # Left edge 1.2 mm, lower edge 1.8 mm, to within the facet of up to 1 mm on which the inner one's corner lies.
         assert_allclose(on[1][:2], (-2.0 * 1.2, -2.0 * 1.8), atol=2.0 * 0.6)

@@ -1,21 +1,22 @@
 """Measured motion of the outline: it holds between measured points, and never beyond the last one of a lip."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.probes import basis_at
-from tests.meshes import BRAIN, FREE, cut_in, disc, mapped, outline, space_of
+from tests.meshes import BRAIN, FREE, cut_in, disc, mapped, outline, posed, space_of
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.measured import measured_at
-from xfemnav.mechanics.outline import Skull, skull_conditions
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.outline import skull_conditions
 from xfemnav.mechanics.rim import rim_points
+from xfemnav.mechanics.rules import Measured, Skull
 from xfemnav.mechanics.solution import solve
 
 MOUTH, TIP = (0.0, 40.0), (0.0, 12.0)
@@ -64,8 +65,8 @@ def known_on_top(rows, cuts=(CUT,), pulled=(), mesh=None):
 def change(mesh, skull, rows, weight=None):
     """Largest change of any displacement by the cut, and the largest displacement, mm."""
     kind = {"boundary_displacement": rows, "boundary_weight": weight, "tip_enrichment": "none"}
-    cut = solve(pose(mesh, (CUT,), BRAIN, skull, **kind))
-    whole = pose(mesh, (), BRAIN, skull, craniotomies=(MOUTH,), **kind)
+    cut = solve(posed(mesh, (CUT,), BRAIN, skull, **kind))
+    whole = posed(mesh, (), BRAIN, replace(skull, openings=(MOUTH,)), **kind)
     u = basis_at(whole.space, cut.rest.reshape(-1, 2)) @ solve(whole).U
     return np.abs((cut.moved - cut.rest).reshape(-1, 2) - u).max(), np.abs(u).max()
 
@@ -97,7 +98,7 @@ def test_a_stretch_ends_where_it_was_measured_and_not_at_the_next_node():
     space = space_of(symmetric())
     x = np.arange(-12.6, 12.7, 1.4)
     rows = np.column_stack([x, np.full(len(x), 40.0), np.tile([0.3, -0.2], (len(x), 1))])
-    found = skull_conditions(space, FREE, np.empty((0, 2)), BRAIN, rows)
+    found = skull_conditions(space, replace(FREE, measured=Measured(rows)), np.empty((0, 2)), BRAIN)
     shift = np.tile([0.3, -0.2], (len(space.mesh.points), 1)).ravel()
     assert_allclose(found.constraints.C @ shift, found.constraints.d)
     assert_allclose(found.springs @ shift, found.load, atol=1e-12)
@@ -125,7 +126,7 @@ def test_up_to_a_mouth_that_has_opened_nothing_is_known(sides):
     for x, _ in (known_on_top(measured(6.0, 3.0, apart, sides)), known_on_top(shut, pulled={0})):
         assert np.abs(x).min() == 6.0
     blades = tuple(Retraction(0, s, normal_mm=2.0, blade=(0, 0.5)) for s in (1, -1))
-    problem = pose(symmetric(), (CUT,), BRAIN, FREE, blades, boundary_displacement=shut)
+    problem = posed(symmetric(), (CUT,), BRAIN, FREE, blades, boundary_displacement=shut)
     solution = solve(problem)
     mouth = np.abs(solution.rest - MOUTH).max(axis=2) < 1e-9
     assert_allclose(np.abs((solution.moved - solution.rest)[mouth][:, 0]), 2, atol=0.3)
@@ -166,7 +167,7 @@ def test_far_from_each_other_points_hold_nothing_between_and_alone_they_are_refu
     for rows in (lonely, lonely[:1]):
         for weight in (None, 3.0):
             with pytest.raises(XfemnavError, match=r"E408.*20 mm"):
-                pose(symmetric(), (CUT,), BRAIN, Skull("fixed"), boundary_displacement=rows, boundary_weight=weight)
+                posed(symmetric(), (CUT,), BRAIN, Skull("fixed"), boundary_displacement=rows, boundary_weight=weight)
     assert len(known_on_top(base)[0]) > 1
 
 

@@ -9,14 +9,13 @@ from numpy.testing import assert_allclose
 
 from benchmarks.probes import basis_at
 from data_synthetic import domains
-from tests.meshes import BRAIN, HARD_SKULL, outline
+from tests.meshes import BRAIN, HARD_SKULL, outline, posed
 from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.grading import data_ends
 from xfemnav.geometry.resection import place_resection
 from xfemnav.geometry.sizing import SizeField
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.solution import solve
 
 STEM = ((0, 77), (0, 30))  # drawn from outside; its lips are held on the first half of what lies inside
@@ -45,7 +44,7 @@ def moved(mesh, paths, points, removed=()):
     """Displacement (k, 2) mm of points when the first cut's lips are held apart; all else is free."""
     resections = tuple(place_resection([loop], outline(mesh)) for loop in removed)
     cuts = placed(outline(mesh), paths)
-    problem = pose(mesh, cuts, BRAIN, HARD_SKULL, BOTH, lips="free", resections=resections)
+    problem = posed(mesh, cuts, BRAIN, HARD_SKULL, BOTH, lips="free", resections=resections)
     return basis_at(problem.space, points) @ solve(problem).U
 
 
@@ -110,7 +109,7 @@ def test_more_cuts_make_the_tissue_softer():
     mesh, energies = graded(STEM, BRANCH, FAR), []
     for paths in ((STEM,), (STEM, BRANCH), (STEM, BRANCH, FAR)):
         cuts = placed(outline(mesh), paths)
-        energies.append(solve(pose(mesh, cuts, BRAIN, HARD_SKULL, BOTH, lips="free", tip_enrichment="none")).energy)
+        energies.append(solve(posed(mesh, cuts, BRAIN, HARD_SKULL, BOTH, lips="free", tip_enrichment="none")).energy)
     assert energies[0] > 1.001 * energies[1] > 1.001**2 * energies[2]
 
 

@@ -2,9 +2,8 @@
 
 import pytest
 
-from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc
+from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc, posed
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.solution import solve
 
 
@@ -17,5 +16,5 @@ def test_it_stays_positive_where_the_blade_reaches_the_tip_functions(h):
     mesh = disc(h=h)
     cut = cut_in(mesh, (1.3, 80), (0.7, 30.2))
     blades = tuple(Retraction(0, side, normal_mm=3.0, blade=(0, 0.8)) for side in (1, -1))
-    problem = pose(mesh, (cut,), BRAIN, HARD_SKULL, blades, lip_constraint="nitsche", tip_enrichment="geometric")
+    problem = posed(mesh, (cut,), BRAIN, HARD_SKULL, blades, lip_constraint="nitsche", tip_enrichment="geometric")
     assert solve(problem).max_displacement_mm < 3.2

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from data_synthetic import domains
-from tests.meshes import BRAIN, cut_in, disc, jittered, measured_outline, outline, space_of
+from tests.meshes import BRAIN, cut_in, disc, jittered, measured_outline, outline, posed, space_of
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.distmesh import distmesh
@@ -14,9 +14,7 @@ from xfemnav.mechanics.constraints import SKULL
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.loads import Gravity
-from xfemnav.mechanics.outline import Arc, Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Arc, Gravity, Measured, Skull
 from xfemnav.mechanics.solution import solve
 
 MESH = disc()
@@ -141,7 +139,7 @@ def test_a_measured_linear_field_is_met_at_every_node():
     G = np.array([[0.01, 0.002], [0.0, -0.004]])
     loop = outline(MESH)
     constraints, springs = skull_conditions(
-        space, Skull("fixed"), np.empty((0, 2)), BRAIN, measured_on(loop, loop @ G.T)
+        space, Skull("fixed", measured=Measured(measured_on(loop, loop @ G.T))), np.empty((0, 2)), BRAIN
     )
     U = plain_field(space, lambda x: x @ G.T).ravel()
     assert_allclose(constraints.C @ U, constraints.d, atol=1e-12)
@@ -157,9 +155,8 @@ def test_measured_values_are_interpolated_along_the_outline():
     chosen = np.arange(0, len(loop) - 1, 2)
     value = rng.normal(size=(len(chosen), 2))
     shuffled = rng.permutation(len(chosen))
-    constraints, _ = skull_conditions(
-        space, Skull("free"), np.empty((0, 2)), BRAIN, measured_on(loop[chosen][shuffled], value[shuffled])
-    )
+    skull = Skull("free", measured=Measured(measured_on(loop[chosen][shuffled], value[shuffled])))
+    constraints, _ = skull_conditions(space, skull, np.empty((0, 2)), BRAIN)
     U = np.zeros((space.enrichment.n_rows, 2))
     U.ravel()[constraints.C.indices] = constraints.d
     at = U[MESH.boundary_loops[0]]
@@ -174,7 +171,7 @@ def test_far_from_measured_points_the_skull_holds():
     space = space_of(MESH)
     top = outline(MESH)[outline(MESH)[:, 1] > 40]
     constraints, _ = skull_conditions(
-        space, Skull("fixed"), np.empty((0, 2)), BRAIN, measured_on(top, np.ones_like(top))
+        space, Skull("fixed", measured=Measured(measured_on(top, np.ones_like(top)))), np.empty((0, 2)), BRAIN
     )
     d = np.zeros(space.enrichment.n_dof)
     d[constraints.C.indices] = constraints.d
@@ -191,7 +188,7 @@ def test_beside_a_mouth_each_lip_has_its_own_value():
     u = np.where(left[:, None], (1.0, 0.5), (-2.0, 0.0))
     at_mouth = np.array([[*MOUTH[0], 1.4, 0.7, 1], [*MOUTH[0], -2.6, 0.3, -1]])
     measured = np.vstack([measured_on(loop, u, np.zeros(len(loop))), at_mouth])
-    constraints, _ = skull_conditions(SPACE, Skull("fixed"), MOUTH, BRAIN, measured)
+    constraints, _ = skull_conditions(SPACE, Skull("fixed", measured=Measured(measured)), MOUTH, BRAIN)
     # A point a hair inside each lip at the mouth: its value by the conditions alone.
     split = SPACE.parts
     for side, column, value in ((1, 0, (1.4, 0.7)), (-1, 1, (-2.6, 0.3))):
@@ -209,7 +206,7 @@ def test_beside_a_mouth_each_lip_has_its_own_value():
 )
 def test_measured_points_that_cannot_be_used_are_refused(measured):
     with pytest.raises(XfemnavError, match="E408"):
-        skull_conditions(SPACE, Skull("fixed"), MOUTH, BRAIN, measured)
+        skull_conditions(SPACE, Skull("fixed", measured=Measured(measured)), MOUTH, BRAIN)
 
 
 # Contact with the skull -----------------------------------------------------------------------------------------------
@@ -219,7 +216,7 @@ BALL = distmesh(domains.ellipse(40, 50), 5.0)
 
 
 def rests(skull, gravity=WEIGHT, cuts=(), mesh=BALL, **kind):
-    problem = pose(mesh, cuts, BRAIN, skull, gravity=gravity, **kind)
+    problem = posed(mesh, cuts, BRAIN, skull, gravity=gravity, **kind)
     return problem, solve(problem)
 
 
@@ -271,7 +268,7 @@ def test_a_lip_pulled_off_the_skull_is_no_longer_held_by_it():
     """A cut opened to one side: with a fixed skull the far side is held; in contact it may slide and leave."""
     blade = (Retraction(0, 1, displacement_mm=(3.0, 0.0), blade=(0, 0.5)),
              Retraction(0, -1, displacement_mm=(3.0, 0.0), blade=(0, 0.5)))
-    problem = pose(MESH, (CUT,), BRAIN, Skull("contact"), blade)
+    problem = posed(MESH, (CUT,), BRAIN, Skull("contact"), blade)
     assert problem.hung is None  # the blades hold it
     solution = solve(problem)
     out, points, _ = outward(problem, solution)
@@ -284,8 +281,8 @@ def test_a_lip_pulled_off_the_skull_is_no_longer_held_by_it():
 def test_what_else_holds_the_tissue_needs_no_weak_springs():
     for skull in (Skull("contact", arcs=(Arc((40.0, 0.0), (0.0, 50.0), "fixed"),)), Skull("fixed"), Skull("free")):
         kind = {"boundary_displacement": measured_on(outline(BALL), 0 * outline(BALL))} if skull.kind == "free" else {}
-        assert pose(BALL, (), BRAIN, skull, **kind).hung is None
-    assert pose(BALL, (), BRAIN, Skull("contact")).hung is not None
+        assert posed(BALL, (), BRAIN, skull, **kind).hung is None
+    assert posed(BALL, (), BRAIN, Skull("contact")).hung is not None
 
 
 def test_each_place_of_the_outline_touches_once():
@@ -367,7 +364,7 @@ def test_a_heavy_weight_is_the_hard_condition():
     """The difference falls as 1 / weight."""
     measured = noisy(BOX, 0.1)
     hard, *soft = (
-        solve(pose(BOX, (), BRAIN, Skull(), boundary_displacement=measured, boundary_weight=w)).U
+        solve(posed(BOX, (), BRAIN, Skull(), boundary_displacement=measured, boundary_weight=w)).U
         for w in (None, 1e3, 1e4, 1e5)
     )
     off = [np.abs(U - hard).max() for U in soft]
@@ -379,7 +376,7 @@ def test_a_light_weight_damps_noise_and_keeps_rigid_motion():
     """Noise costs energy, so springs give way to it; a rigid motion costs none, and is met at any weight."""
     clean, jitter = noisy(BOX, 0.0), noisy(BOX, 0.1)
     hard, soft = (
-        [solve(pose(BOX, (), BRAIN, Skull(), boundary_displacement=m, boundary_weight=w)) for m in (jitter, clean)]
+        [solve(posed(BOX, (), BRAIN, Skull(), boundary_displacement=m, boundary_weight=w)) for m in (jitter, clean)]
         for w in (None, 0.3)
     )
     rough = [np.sqrt(np.mean((a.U - b.U)[np.unique(BOX.boundary_facets)] ** 2)) for a, b in (hard, soft)]
@@ -388,7 +385,7 @@ def test_a_light_weight_damps_noise_and_keeps_rigid_motion():
     loop = outline(BOX)
     shift = measured_on(loop, np.tile([1.3, -0.4], (len(loop), 1)))
     for w in (1e-3, 1.0):
-        U = solve(pose(BOX, (), BRAIN, Skull(), boundary_displacement=shift, boundary_weight=w)).U
+        U = solve(posed(BOX, (), BRAIN, Skull(), boundary_displacement=shift, boundary_weight=w)).U
         assert_allclose(U, np.tile([1.3, -0.4], (len(U), 1)), atol=1e-8)
 
 
@@ -396,7 +393,7 @@ def test_weighted_lips_at_a_mouth_have_their_own_values():
     """Halves of a cut box measured apart by weight: each goes its own way."""
     cut = cut_in(BOX, (20.3, -5), (20.3, 35))
     measured = measured_outline(BOX, cut, lambda x, side: side[:, None] * np.array([-0.4, 0.1]))
-    solution = solve(pose(BOX, (cut,), BRAIN, Skull(), boundary_displacement=measured, boundary_weight=5.0))
+    solution = solve(posed(BOX, (cut,), BRAIN, Skull(), boundary_displacement=measured, boundary_weight=5.0))
     left = solution.rest.mean(axis=1)[:, 0] < 20.3
     assert_allclose((solution.moved - solution.rest)[left], np.broadcast_to([-0.4, 0.1], (left.sum(), 3, 2)), atol=1e-6)
 
@@ -406,7 +403,7 @@ def test_where_nothing_was_measured_no_spring_pulls():
     loop = outline(MESH)
     low = loop[loop[:, 1] < -20]
     measured = measured_on(low, np.tile([0.4, 0.7], (len(low), 1)))
-    problem = pose(MESH, (), BRAIN, Skull("free"), boundary_displacement=measured, boundary_weight=2.0)
+    problem = posed(MESH, (), BRAIN, Skull("free"), boundary_displacement=measured, boundary_weight=2.0)
     assert not problem.springs.diagonal()[2 * np.flatnonzero(MESH.points[:, 1] > 0)].any()
     U = solve(problem).U
     assert_allclose(U, np.tile([0.4, 0.7], (len(U), 1)), atol=1e-9)
@@ -415,4 +412,4 @@ def test_where_nothing_was_measured_no_spring_pulls():
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.inf, np.nan])
 def test_a_weight_that_is_not_positive_is_refused(weight):
     with pytest.raises(XfemnavError, match="E408"):
-        pose(BOX, (), BRAIN, Skull(), boundary_displacement=noisy(BOX, 0.0), boundary_weight=weight)
+        posed(BOX, (), BRAIN, Skull(), boundary_displacement=noisy(BOX, 0.0), boundary_weight=weight)

@@ -32,13 +32,13 @@ from data_synthetic.phantom import (
     landmarks,
     outline,
 )
+from tests.meshes import posed
 from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.imaging.warp import pull_back
 from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.quadrature import tip_rule
+from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solution import solve
 
 
@@ -191,7 +191,7 @@ def test_energy_error_falls_with_the_root_of_the_element():
         mesh = distmesh(outline(), h)
         cut = place_cut(cut_path(), mesh.points[mesh.boundary_loops[0]])
         material = Material(3.0, POISSON)
-        problem = pose(mesh, (cut,), material, Skull(), boundary_displacement=boundary_displacement(phantom))
+        problem = posed(mesh, (cut,), material, Skull(), boundary_displacement=boundary_displacement(phantom))
         split, U = problem.parts, solve(problem).U.ravel()
         points, weights, owner = tip_rule(split.corners, split.fronts.at)
         parts = split.part[owner]

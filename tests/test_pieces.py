@@ -4,17 +4,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.meshes import BRAIN, cut_in, jittered, outline
+from tests.meshes import BRAIN, cut_in, jittered, outline, posed
 from tests.test_resection import box, circle
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.resection import place_resection
 from xfemnav.imaging.warp import covered, enclosed, pull_back, update
 from xfemnav.mechanics import pieces
-from xfemnav.mechanics.arcs import Arc
 from xfemnav.mechanics.lips import Retraction, lip_quadrature
-from xfemnav.mechanics.loads import Gravity
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Arc, Gravity, Skull
 from xfemnav.mechanics.solution import solve
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
@@ -33,7 +30,7 @@ RING = taken(circle(6, 5, 3), circle(6, 5, 1.5))  # frees the disc inside
 @pytest.mark.parametrize("rings", [(circle(6, 5, 2),), (circle(0, 0, 3),), (box(4, -1, 7, 11),)])
 def test_at_rest_the_cavity_is_the_region_taken_out(rings):
     """Nothing moves: the image's cavity has the region's area, also at the surface; pixels of .02 mm."""
-    solution = solve(pose(MESH, (), BRAIN, SKULL, resections=taken(*rings)))
+    solution = solve(posed(MESH, (), BRAIN, SKULL, resections=taken(*rings)))
     assert np.abs(solution.U).max() == 0
     grid = np.array([-0.99, -0.99]), np.array([0.02, 0.02]), (700, 600)
     back = pull_back(solution.rest, solution.moved, *grid)
@@ -47,7 +44,7 @@ def test_at_rest_the_cavity_is_the_region_taken_out(rings):
 
 def test_the_outline_goes_on_across_a_notch():
     cut = cut_in(MESH, (-1, 5), (6, 5))
-    solution = solve(pose(MESH, (cut,), BRAIN, SKULL, resections=taken(circle(0, 0, 3))))
+    solution = solve(posed(MESH, (cut,), BRAIN, SKULL, resections=taken(circle(0, 0, 3))))
     x, y = solution.outline.T
     assert_allclose(((x * np.roll(y, -1) - y * np.roll(x, -1)) / 2).sum(), MESH.volumes.sum(), rtol=1e-12)
 
@@ -57,7 +54,7 @@ def test_a_cut_through_a_resection_opens_what_is_left_of_it():
     cut, hole = cut_in(MESH, (-1, 5), (10, 5.2)), taken(circle(5, 5, 1.2))
     blade = (0.1, 0.7)
     held = tuple(Retraction(0, side, normal_mm=0.2, blade=blade) for side in (1, -1))
-    problem = pose(MESH, (cut,), BRAIN, SKULL, held, resections=hole)
+    problem = posed(MESH, (cut,), BRAIN, SKULL, held, resections=hole)
     assert_allclose(problem.spans, np.tile(np.array(blade) * cut.length, (2, 1)), rtol=1e-3)
     solution = solve(problem)
     for side, span in zip((1, -1), problem.spans):
@@ -73,7 +70,7 @@ def test_a_force_is_spread_over_the_lip_that_is_left():
     """The reaction of all conditions balances the whole force, though a part of the blade's lip is gone."""
     cut, hole = cut_in(MESH, (-1, 5), (10, 5.2)), taken(circle(5, 5, 1.2))
     force = Retraction(0, 1, force_mN_per_mm=(0.3, 1.0), blade=(0.1, 0.7))
-    problem = pose(MESH, (cut,), BRAIN, SKULL, (force,), resections=hole)
+    problem = posed(MESH, (cut,), BRAIN, SKULL, (force,), resections=hole)
     assert_allclose(problem.load.reshape(-1, 2)[problem.enrichment.kind < 2].sum(axis=0), (0.3, 1.0), rtol=1e-12)
 
 
@@ -82,20 +79,20 @@ def test_a_blade_without_tissue_is_refused(blade):
     cut = cut_in(MESH, (-1, 5), (10, 5.2))
     hole = taken(box(2, 4, 6, 6)) if blade[0] else taken(box(-1, 4, 11, 6))
     with pytest.raises(XfemnavError, match="E402"):
-        pose(MESH, (cut,), BRAIN, SKULL, (Retraction(0, 1, normal_mm=0.2, blade=blade),), resections=hole)
+        posed(MESH, (cut,), BRAIN, SKULL, (Retraction(0, 1, normal_mm=0.2, blade=blade),), resections=hole)
 
 
 def test_a_freed_piece_is_refused_by_name():
     with pytest.raises(XfemnavError, match=r"E306 resection 'tumour' frees .* \(\d+\.\d, \d+\.\d\) mm"):
-        pose(MESH, (), BRAIN, SKULL, resections=RING)
+        posed(MESH, (), BRAIN, SKULL, resections=RING)
     with pytest.raises(XfemnavError, match="E306 cut 'approach' frees"):
-        pose(MESH, (CORNER,), BRAIN, Skull("fixed", 9.0, 1.0))
+        posed(MESH, (CORNER,), BRAIN, Skull("fixed", 9.0, 1.0))
 
 
 def test_a_freed_piece_is_removed_when_asked():
     with pytest.warns(XfemnavWarning, match="W312"):
-        problem = pose(MESH, (), BRAIN, SKULL, resections=RING, loose="remove")
-    whole = pose(MESH, (), BRAIN, SKULL, resections=taken(circle(6, 5, 3)))
+        problem = posed(MESH, (), BRAIN, SKULL, resections=RING, loose="remove")
+    whole = posed(MESH, (), BRAIN, SKULL, resections=taken(circle(6, 5, 3)))
     assert [piece.fate for piece in problem.pieces] == ["fixed", "removed"]
     assert_allclose(problem.pieces[1].area_mm2, shapely_area(1.5), rtol=1e-3)
     assert_allclose(solve(problem).rest_areas.sum(), solve(whole).rest_areas.sum(), rtol=1e-4)
@@ -122,7 +119,7 @@ def test_a_freed_piece_is_held_at_its_mean(n):
     mesh = jittered(12.0, 10.0, n, 0.25, seed=25)
     ring = (place_resection([circle(6, 5, 4), circle(6, 5, 2.5)], outline(mesh)),)
     with pytest.warns(XfemnavWarning, match="W313"):
-        problem = pose(mesh, (), BRAIN, SKULL, resections=ring, loose="hold", gravity=Gravity((0.6, -0.8)))
+        problem = posed(mesh, (), BRAIN, SKULL, resections=ring, loose="hold", gravity=Gravity((0.6, -0.8)))
     assert [piece.fate for piece in problem.pieces] == ["fixed", "held"]
     solution = solve(problem)
     own = np.linalg.norm(solution.rest.mean(axis=1) - (6, 5), axis=1) < 3
@@ -141,7 +138,7 @@ def pushed(n, model="linear"):
     cut = cut_in(mesh, (-1, 6.03), (13, 6.03))
     blade = Retraction(0, -1, displacement_mm=(0.05, 0.3), blade=(0.3, 0.6))
     with pytest.warns(XfemnavWarning, match="W313"):
-        problem = pose(mesh, (cut,), BRAIN, BOTTOM, (blade,), loose="hold", gravity=Gravity((0.6, -0.8)), model=model)
+        problem = posed(mesh, (cut,), BRAIN, BOTTOM, (blade,), loose="hold", gravity=Gravity((0.6, -0.8)), model=model)
     return problem, solve(problem)
 
 
@@ -170,7 +167,7 @@ def test_only_what_nothing_holds_is_held_at_its_mean():
     skull = Skull("free", 0.0, 0.0, arcs=(*BOTTOM.arcs, Arc((12.0, 10.0), (0.0, 10.0), "sliding")))
     blade = Retraction(0, -1, displacement_mm=(0.05, 0.3), blade=(0.3, 0.6))
     with pytest.warns(XfemnavWarning, match="W313"):
-        problem = pose(mesh, (cut,), BRAIN, skull, (blade,), loose="hold")
+        problem = posed(mesh, (cut,), BRAIN, skull, (blade,), loose="hold")
     assert problem.means.C.shape[0] == 1
     solution = solve(problem)
     U = solution.U.ravel()
@@ -187,7 +184,7 @@ def test_what_holds_a_piece_is_no_force_of_its_blade(monkeypatch):
     cut = cut_in(mesh, (-1, 6.03), (13, 6.03))
     blade = Retraction(0, 1, displacement_mm=(0.05, 0.3), blade=(0.2, 0.3))
     with pytest.warns(XfemnavWarning, match="W313"):
-        problem = pose(mesh, (cut,), BRAIN, BOTTOM, (blade,), loose="hold", gravity=Gravity((0.6, -0.8)))
+        problem = posed(mesh, (cut,), BRAIN, BOTTOM, (blade,), loose="hold", gravity=Gravity((0.6, -0.8)))
     assert 0 < problem.means.C.shape[0] < 3
     solution = solve(problem)
     U = solution.U.ravel()
@@ -210,7 +207,7 @@ def test_a_mean_over_several_pieces_holds_none_of_them_alone():
             for x in (3.03, 3.55, 4.07)]
     held = Retraction(0, 1, normal_mm=0.1, blade=(0.1, 0.9))
     with pytest.warns(XfemnavWarning, match="W31"):
-        problem = pose(MESH, (stem, *comb), BRAIN, SKULL, (held,), loose="remove")
+        problem = posed(MESH, (stem, *comb), BRAIN, SKULL, (held,), loose="remove")
     solution = solve(problem)
     assert np.isfinite(solution.U).all() and solution.residual < 1e-8
 
@@ -218,15 +215,15 @@ def test_a_mean_over_several_pieces_holds_none_of_them_alone():
 def test_a_retractor_does_not_pull_on_a_removed_piece():
     pull = Retraction(0, -1, force_mN_per_mm=(0.0, -1.0))
     with pytest.raises(XfemnavError, match=r"E306 .* pulls"):
-        pose(MESH, (CORNER,), BRAIN, Skull("fixed", 9.0, 1.0), (pull,), loose="remove")
+        posed(MESH, (CORNER,), BRAIN, Skull("fixed", 9.0, 1.0), (pull,), loose="remove")
 
 
 def test_the_largest_piece_is_never_removed():
     held = Retraction(0, -1, normal_mm=1.0, blade=(0.0, 1.0))  # the corner, and nothing else
     with pytest.raises(XfemnavError, match=r"E306 .* the largest piece is not removed"):
-        pose(MESH, (CORNER,), BRAIN, Skull("free"), (held,), loose="remove")
+        posed(MESH, (CORNER,), BRAIN, Skull("free"), (held,), loose="remove")
 
 
 def test_unknown_ways_with_loose_pieces_are_refused():
     with pytest.raises(ValueError, match="magic"):
-        pose(MESH, (), BRAIN, SKULL, loose="magic")
+        posed(MESH, (), BRAIN, SKULL, loose="magic")

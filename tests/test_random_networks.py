@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from tests.meshes import BRAIN, grid, jittered, outline
+from tests.meshes import BRAIN, grid, jittered, outline, posed
 from tests.networks import random_network
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import place_cut
@@ -21,8 +21,7 @@ from xfemnav.geometry.resection import place_resection
 from xfemnav.geometry.snapping import SNAP
 from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solution import solve
 
 #: A drawn line may miss the organ, touch its outline, cross itself, free a piece, leave a blade nothing, and so on.
@@ -102,7 +101,7 @@ def survives(seed):
         try:
             check_parts(mesh, cuts, resections)
             asked = draw_problem(cuts, resections, np.random.default_rng([seed, 1]))
-            problem = pose(mesh, cuts, BRAIN, resections=resections, **asked)
+            problem = posed(mesh, cuts, BRAIN, resections=resections, **asked)
             check_continuity(problem.space, np.random.default_rng([seed, 2]))
             solution = solve(problem)
         except XfemnavError as error:
@@ -126,7 +125,7 @@ def test_means_of_a_piece_that_is_held_step_by_step_do_not_repeat_each_other():
     seed = 3885974545  # motions of several pieces ask for one that is held already
     mesh, cuts, resections = place(seed)
     asked = draw_problem(cuts, resections, np.random.default_rng([seed, 1])) | {"loose": "hold"}
-    problem = pose(mesh, cuts, BRAIN, resections=resections, **asked | {"lip_constraint": "mortar"})
+    problem = posed(mesh, cuts, BRAIN, resections=resections, **asked | {"lip_constraint": "mortar"})
     C = problem.means.C.toarray()
     assert len(set(problem.means.pins.tolist())) == len(C) == np.linalg.matrix_rank(C) > 10
 
@@ -154,7 +153,7 @@ def test_cuts_that_face_each_other_nearly_on_one_line_are_solved(seed, kind):
         paths[1] = paths[1][::-1]
     cuts = tuple(place_cut(path, outline(mesh), internal=True) for path in paths)
     held = tuple(Retraction(0, side, normal_mm=0.1, blade=(0.3, 0.6)) for side in (1, -1))
-    solution = solve(pose(mesh, cuts, BRAIN, Skull("fixed", 2.0, 1.0), held, tip_enrichment=kind))
+    solution = solve(posed(mesh, cuts, BRAIN, Skull("fixed", 2.0, 1.0), held, tip_enrichment=kind))
     assert solution.residual <= 1e-8 and np.abs(solution.moved - solution.rest).max() < 1.0
 
 

@@ -11,6 +11,7 @@ from xfemnav.mechanics.branch import branch_functions
 from xfemnav.mechanics.elasticity import stiffness
 from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.reduction import mode_combinations, node_blocks, owners, vector_tip_basis
+from xfemnav.mechanics.rules import Basis
 from xfemnav.mechanics.space import Space
 
 
@@ -19,7 +20,7 @@ def space(tip_enrichment, offset=None):
     mesh = jittered() if offset is None else jittered(jitter=0.0)
     height = 8.31 if offset is None else 8.0 + offset
     split = embed(mesh, (cut_in(mesh, (-1.0, height), (9.4, height)),))
-    return Space(mesh, split, enrich(mesh, split, tip_enrichment, 4.0))
+    return Space(mesh, split, enrich(mesh, split, Basis(tip_enrichment, 4.0)))
 
 
 def solved_basis(at, tip_enrichment):

@@ -9,14 +9,12 @@ from numpy.testing import assert_allclose
 
 from benchmarks.probes import lip_gaps
 from data_synthetic import domains
-from tests.meshes import BRAIN, FREE, cut_in, disc, jittered, outline
+from tests.meshes import BRAIN, FREE, cut_in, disc, jittered, outline, posed
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.resection import place_resection
 from xfemnav.mechanics.lips import Retraction, lip_quadrature
-from xfemnav.mechanics.loads import Gravity, Pressure
-from xfemnav.mechanics.outline import Arc, Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Arc, Gravity, Pressure, Skull
 from xfemnav.mechanics.solution import solve
 
 MESH = disc(70.0, 5.0)
@@ -27,10 +25,10 @@ BOTH = tuple(Retraction(0, side, normal_mm=4.0, blade=(0.0, 0.6)) for side in (1
 CASES = [("mortar", "topological"), ("nitsche", "topological"), ("pointwise", "none"), ("mortar", "geometric")]
 
 
-def posed(retractions=(), gravity=WEIGHT, **kind):
+def asked(retractions=(), gravity=WEIGHT, **kind):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "W404")
-        return pose(MESH, (CUT,), BRAIN, kind.pop("skull", SKULL), retractions, gravity=gravity, **kind)
+        return posed(MESH, (CUT,), BRAIN, kind.pop("skull", SKULL), retractions, gravity=gravity, **kind)
 
 
 def counted(retractions, relative_to):
@@ -55,7 +53,7 @@ def test_blades_part_the_lips_from_where_they_lie(lips, tips):
     """
     off = 0.01 if lips == "nitsche" else 1e-9
     kind = {"lip_constraint": lips, "tip_enrichment": tips, "lips": "free"}
-    lying, alone, both = (solve(posed(*what, **kind)) for what in (((),), (BOTH, None), (BOTH,)))
+    lying, alone, both = (solve(asked(*what, **kind)) for what in (((),), (BOTH, None), (BOTH,)))
     assert np.abs(lying.U).max() > 1
     assert_allclose(both.moved - both.rest, (lying.moved - lying.rest) + (alone.moved - alone.rest), atol=off)
     for one, other in zip(both.retractor, alone.retractor):
@@ -68,19 +66,19 @@ def test_blades_part_the_lips_from_where_they_lie(lips, tips):
 def test_from_rest_is_a_choice_and_the_default_of_displacements():
     normal = np.array([CUT.path[0][1] - CUT.path[1][1], CUT.path[1][0] - CUT.path[0][0]]) / CUT.length
     away = tuple(Retraction(0, r.side, displacement_mm=tuple(4.0 * r.side * normal), blade=r.blade) for r in BOTH)
-    rest, same, loads = (solve(posed(r)) for r in (counted(BOTH, "rest"), away, counted(away, "loads")))
+    rest, same, loads = (solve(asked(r)) for r in (counted(BOTH, "rest"), away, counted(away, "loads")))
     assert_allclose(same.U, rest.U, atol=1e-9)
-    assert_allclose(loads.U, solve(posed(BOTH)).U, atol=1e-9)
+    assert_allclose(loads.U, solve(asked(BOTH)).U, atol=1e-9)
     assert np.abs(loads.U - rest.U).max() > 1
 
 
 @pytest.mark.parametrize("kind", [{}, {"pressures": (Pressure(0.0),)}, {"gravity": Gravity((0.0, -1.0), 0.0)}])
 def test_where_blades_alone_act_they_count_from_rest_to_the_last_bit(kind):
     kind = {"gravity": None} | kind
-    loads, rest = (posed(counted(BOTH, how), **kind) for how in ("loads", "rest"))
+    loads, rest = (asked(counted(BOTH, how), **kind) for how in ("loads", "rest"))
     assert loads.bare is None
     assert (solve(loads).U == solve(rest).U).all()
-    assert posed(counted(BOTH, "rest")).bare is None and posed(BOTH).bare is not None
+    assert asked(counted(BOTH, "rest")).bare is None and asked(BOTH).bare is not None
 
 
 def test_lips_in_contact_are_parted_from_where_they_touch():
@@ -88,8 +86,8 @@ def test_lips_in_contact_are_parted_from_where_they_touch():
     cut = cut_in(MESH, (-80, 3), (10, 2))
     skull, weight = Skull(craniotomy_mm=45.0), Gravity((0.0, -1.0), 10_000.0)
     blades = tuple(Retraction(0, side, normal_mm=3.0, blade=(0.1, 0.6)) for side in (1, -1))
-    lying, parted = (solve(pose(MESH, (cut,), BRAIN, skull, r, gravity=weight)) for r in ((), blades))
-    problem = pose(MESH, (cut,), BRAIN, skull, blades)
+    lying, parted = (solve(posed(MESH, (cut,), BRAIN, skull, r, gravity=weight)) for r in ((), blades))
+    problem = posed(MESH, (cut,), BRAIN, skull, blades)
     assert lying.contact and np.abs(lying.moved - lying.rest).max() > 1
     assert_allclose(parted_by(problem, lying, parted), 3.0, atol=1e-8)
 
@@ -101,7 +99,7 @@ def test_a_measured_outline_takes_the_lips_along():
     rows = np.column_stack([loop, np.tile([2.0, -1.0], (len(loop), 1))])[off]
     kind = {"boundary_displacement": rows, "gravity": None, "skull": FREE}
     still = kind | {"boundary_displacement": rows * [1, 1, 0, 0]}
-    aside, at_rest = solve(posed(BOTH, **kind)), solve(posed(BOTH, **still))
+    aside, at_rest = solve(asked(BOTH, **kind)), solve(asked(BOTH, **still))
     assert_allclose((aside.moved - aside.rest) - (at_rest.moved - at_rest.rest), np.broadcast_to([2.0, -1.0],
                     aside.moved.shape), atol=1e-8)
 
@@ -109,8 +107,8 @@ def test_a_measured_outline_takes_the_lips_along():
 def test_one_blade_leaves_the_other_lip_to_the_loads():
     """Without contact; the held lip moves by 4 mm from where it lies, along its normal and not along itself."""
     kind = {"lips": "free"}
-    one, lying = solve(posed(BOTH[:1], **kind)), solve(posed(**kind))
-    problem = posed(**kind)
+    one, lying = solve(asked(BOTH[:1], **kind)), solve(asked(**kind))
+    problem = asked(**kind)
     arc, gap = lip_gaps(problem.space, one.U - lying.U, 0)
     assert gap[(arc > 2) & (arc < 0.3 * CUT.length)].min() > 2
     assert one.lip_error_rms_mm < 0.2
@@ -118,8 +116,8 @@ def test_one_blade_leaves_the_other_lip_to_the_loads():
 
 @pytest.mark.parametrize("model", ["linear", "neo-hookean"])
 def test_the_model_s_own_answer_is_counted_from(model):
-    lying, parted = (solve(posed(r, model=model, tip_enrichment="none", lips="free")) for r in ((), BOTH))
-    problem = posed(BOTH, model=model, tip_enrichment="none", lips="free")
+    lying, parted = (solve(asked(r, model=model, tip_enrichment="none", lips="free")) for r in ((), BOTH))
+    problem = asked(BOTH, model=model, tip_enrichment="none", lips="free")
     wanted = problem.counted_from(lying.U.ravel()).constraints
     assert_allclose(wanted.C @ parted.U.ravel(), wanted.d, atol=1e-8)
     own = wanted.group == 0
@@ -130,21 +128,21 @@ def test_lips_are_judged_by_where_they_come_to_lie():
     """An open wound may be drawn together as far as it gapes; lips that touch, or displacements from rest, may not."""
     together = counted(tuple(replace(r, normal_mm=-0.3, blade=(0.1, 0.4)) for r in BOTH), "loads")
     gaping = Gravity((0.0, 1.0), 15_000.0)  # upwards: the halves part about the mouth
-    problem = posed(gravity=gaping)
+    problem = asked(gravity=gaping)
     arc, gap = lip_gaps(problem.space, solve(problem).U, 0)
     assert gap[(arc > 0.1 * CUT.length) & (arc < 0.4 * CUT.length)].min() > 0.7
-    solve(posed(together, gaping))
+    solve(asked(together, gaping))
     for blades, weight in ((together, Gravity((0.0, -1.0))), (counted(together, "rest"), gaping)):
         with pytest.raises(XfemnavError, match="E405"):
-            solve(posed(blades, weight))
+            solve(asked(blades, weight))
 
 
 def test_where_blades_alone_hold_the_organ_it_is_said_what_to_do():
     """Without them it has no place; unless that was asked for, they count from rest."""
     light = Gravity((0.006, -0.008))
     with pytest.raises(XfemnavError, match=r'E406.*relative_to = "rest"'):
-        posed(counted(BOTH, "loads"), light, skull=FREE)
-    assert (solve(posed(BOTH, light, skull=FREE)).U == solve(posed(counted(BOTH, "rest"), light, skull=FREE)).U).all()
+        asked(counted(BOTH, "loads"), light, skull=FREE)
+    assert (solve(asked(BOTH, light, skull=FREE)).U == solve(asked(counted(BOTH, "rest"), light, skull=FREE)).U).all()
 
 
 def test_a_piece_that_blades_alone_hold_counts_from_its_mean():
@@ -153,7 +151,7 @@ def test_a_piece_that_blades_alone_hold_counts_from_its_mean():
     cut = cut_in(mesh, (20.3, -5), (20.3, 35))
     skull = Skull("free", arcs=(Arc((0.0, 30.0), (0.0, 0.0), "fixed"),))
     blade = (Retraction(0, -1, normal_mm=1.0, blade=(0.1, 0.9)),)
-    solution = solve(pose(mesh, (cut,), BRAIN, skull, blade, gravity=Gravity((0.0, -1.0))))
+    solution = solve(posed(mesh, (cut,), BRAIN, skull, blade, gravity=Gravity((0.0, -1.0))))
     right = solution.rest.mean(axis=1)[:, 0] > 20.3
     assert_allclose((solution.moved - solution.rest)[right].mean(axis=(0, 1))[0], 1.0, atol=0.1)
 
@@ -163,7 +161,7 @@ def test_resected_and_pressed_tissue_is_where_lips_lie():
     hole = place_resection([[(10, 20), (30, 20), (30, 40), (10, 40)]], outline(MESH))
     kind = {"resections": (hole,), "pressures": (Pressure(1.0, 0),), "gravity": None}
     blade = (Retraction(0, 1, normal_mm=0.0, blade=(0.1, 0.5)),)
-    lying, left, back = (solve(posed(r, **kind)) for r in ((), blade, counted(blade, "rest")))
+    lying, left, back = (solve(asked(r, **kind)) for r in ((), blade, counted(blade, "rest")))
     assert np.abs(left.U - lying.U).max() < 0.3  # the mean over hats, not every point
     assert np.abs(back.U - lying.U).max() > 1
 
@@ -179,6 +177,6 @@ def test_a_brain_on_its_skull_is_opened_by_as_much_as_is_asked():
     cut = cut_in(mesh, (1, 80), (0.3, 30))
     skull = Skull("contact", 20.0, arcs=(Arc((-30.0, -50.0), (30.0, -50.0), "fixed"),))
     blades = tuple(Retraction(0, side, normal_mm=4.0, blade=(0.0, 0.6)) for side in (1, -1))
-    lying, parted = (solve(pose(mesh, (cut,), BRAIN, skull, r, gravity=Gravity((0.3, -0.95)))) for r in ((), blades))
+    lying, parted = (solve(posed(mesh, (cut,), BRAIN, skull, r, gravity=Gravity((0.3, -0.95)))) for r in ((), blades))
     assert np.abs(lying.moved - lying.rest).max() > 2
-    assert_allclose(parted_by(pose(mesh, (cut,), BRAIN, skull, blades), lying, parted), 4.0, atol=1e-8)
+    assert_allclose(parted_by(posed(mesh, (cut,), BRAIN, skull, blades), lying, parted), 4.0, atol=1e-8)

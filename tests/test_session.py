@@ -15,6 +15,7 @@ from small import CUT, brain, write
 
 import xfemnav
 from data_synthetic import domains
+from tests.meshes import posed
 from xfemnav import Session, XfemnavError
 from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.cut import place_cut
@@ -23,8 +24,7 @@ from xfemnav.imaging.warp import covered, pull_back, update
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.incision import OutOfReach
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solution import solve
 from xfemnav.pipeline import session as module
 
@@ -50,7 +50,7 @@ def solved(session, path, moves, blade=(0.0, 0.8)):
     cut = place_cut(path, session.mesh.points[session.mesh.boundary_loops[0]])
     blades = tuple(Retraction(0, side, blade=blade, **({"normal_mm": move} if np.isscalar(move) else
                                                        {"displacement_mm": move})) for side, move in moves.items())
-    return solve(pose(session.mesh, (cut,), Material(), Skull(), blades)), cut
+    return solve(posed(session.mesh, (cut,), Material(), Skull(), blades)), cut
 
 
 def assert_answers(session, path, moves, blade=(0.0, 0.8)):
@@ -217,7 +217,7 @@ def test_tip_functions_reach_the_skull_across_the_organ():
     session.open(left=3.0, right=3.0)
     cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
     blades = tuple(Retraction(0, side, normal_mm=3.0, blade=(0.0, 0.8)) for side in (1, -1))
-    whole = solve(pose(mesh, (cut,), Material(), Skull(), blades, tip_enrichment="geometric"))
+    whole = solve(posed(mesh, (cut,), Material(), Skull(), blades, tip_enrichment="geometric"))
     assert_allclose(session.nodes, whole.U[: len(mesh.points)], atol=SAME_MM)
 
 
@@ -256,7 +256,7 @@ def test_tip_functions_within_a_radius_of_any_cut(flags, tmp_path):
     session.open(left=1.0, right=1.0, blade=(0.4, 0.6))
     cut = place_cut(path, mesh.points[mesh.boundary_loops[0]], **flags)
     blades = tuple(Retraction(0, side, normal_mm=1.0, blade=(0.4, 0.6)) for side in (1, -1))
-    whole = solve(pose(mesh, (cut,), Material(), Skull(), blades, tip_enrichment="geometric"))
+    whole = solve(posed(mesh, (cut,), Material(), Skull(), blades, tip_enrichment="geometric"))
     assert_allclose(session.nodes, whole.U[: len(mesh.points)], atol=SAME_MM)
 
 

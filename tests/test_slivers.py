@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 
 from data_synthetic import domains
-from tests.meshes import BRAIN, cut_in, disc, jittered, outline
+from tests.meshes import BRAIN, cut_in, disc, jittered, outline, posed
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.resection import place_resection
 from xfemnav.geometry.sizing import SizeField
 from xfemnav.limits import STRIP_ELEMENTS
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.outline import Arc, Skull
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import Arc, Skull
 from xfemnav.mechanics.solution import solve
 
 BOX = jittered(60.0, 30.0, 1.0, 0.25, seed=3)
@@ -26,7 +25,7 @@ def told(code, cuts, retractions=(), mesh=BOX, resections=()):
     """The warnings of a code that a problem brings."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
-        pose(mesh, tuple(cuts), BRAIN, Skull("fixed", 5.0, 2.0), retractions, resections=resections)
+        posed(mesh, tuple(cuts), BRAIN, Skull("fixed", 5.0, 2.0), retractions, resections=resections)
     return [item.message.message for item in found if item.message.code == code]
 
 
@@ -70,7 +69,7 @@ def test_a_strip_is_as_much_too_stiff_as_is_said():
         below = Skull("free", arcs=(Arc((0, 30), (60, 30), "fixed"),))
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "W306")
-            return solve(pose(mesh, (cut,), BRAIN, below, push)).max_displacement_mm
+            return solve(posed(mesh, (cut,), BRAIN, below, push)).max_displacement_mm
 
     best = gives(0.3)
     assert best / gives(1.0) > 1.15 and best / gives(0.42) < 1.10
@@ -148,7 +147,7 @@ def test_a_lump_on_a_narrow_neck_is_named_and_the_brain_behind_stays_put():
     assert "hangs on" in text
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        solution = solve(pose(BOX, (DOWN, around), BRAIN, Skull("fixed", 5.0, 2.0), blade))
+        solution = solve(posed(BOX, (DOWN, around), BRAIN, Skull("fixed", 5.0, 2.0), blade))
     middle = solution.rest.mean(axis=1)
     behind = (np.abs(middle[:, 1] - 20.5) < 3) & (middle[:, 0] > 38)
     lump = (np.abs(middle[:, 1] - 20.5) < 3) & (middle[:, 0] > 30) & (middle[:, 0] < 37)
@@ -160,7 +159,7 @@ def test_a_whole_lip_held_pointwise_is_judged_without_a_word_of_numpy_s():
     held = tuple(Retraction(0, side, normal_mm=1.0, blade=None) for side in (1, -1))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        pose(BOX, (DOWN,), BRAIN, Skull("fixed", 5.0, 2.0), held, lip_constraint="pointwise")
+        posed(BOX, (DOWN,), BRAIN, Skull("fixed", 5.0, 2.0), held, lip_constraint="pointwise")
 
 
 def test_a_blade_that_only_pulls_is_judged_too():

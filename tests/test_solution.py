@@ -12,17 +12,15 @@ from benchmarks.verification import plane
 from data_synthetic import domains
 from data_synthetic.fields import Williams
 from tests.eq_4 import paper_coefficients
-from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc, jittered, measured_outline
+from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc, jittered, measured_outline, posed
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.sizing import SizeField
 from xfemnav.mechanics import minimise
-from xfemnav.mechanics.arcs import Arc
 from xfemnav.mechanics.elasticity import Material, stiffness
 from xfemnav.mechanics.lips import Retraction, crossings, lip_quadrature
-from xfemnav.mechanics.outline import Skull
-from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.quadrature import tip_rule
+from xfemnav.mechanics.rules import Arc, Skull
 from xfemnav.mechanics.solution import solve
 
 MESH = disc()
@@ -53,7 +51,7 @@ def eq_4(space, U, points, nodes_of, side):
 @pytest.mark.parametrize("hold_tip", [False, True])
 def test_pointwise_lips_by_eq_4(hold_tip):
     """Every crossing on either lip has its displacement to 1e-10 mm; the tip cell's are free unless it is held."""
-    problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, both(None), lip_constraint="pointwise", hold_tip=hold_tip)
+    problem = posed(MESH, (CUT,), BRAIN, HARD_SKULL, both(None), lip_constraint="pointwise", hold_tip=hold_tip)
     solution, space = solve(problem), problem.space
     tip_cell = space.parts.cell[space.parts.touch[0, 1]]
     for side, given in zip((1, -1), PAPER):
@@ -77,7 +75,7 @@ def test_holding_the_tip_turns_more_tissue_inside_out():
     mesh = disc(70.0, 4.0)
     cut = cut_in(mesh, (3, 80), (1.7, 12.3))
     free, held = (
-        solve(pose(mesh, (cut,), BRAIN, Skull(), both(None, 2 * PAPER), lip_constraint="pointwise", hold_tip=hold))
+        solve(posed(mesh, (cut,), BRAIN, Skull(), both(None, 2 * PAPER), lip_constraint="pointwise", hold_tip=hold))
         for hold in (False, True)
     )
     assert held.inverted_mm2 > free.inverted_mm2 + 0.1
@@ -91,7 +89,7 @@ def test_stable_lips_on_the_default_mesh(lips):
     path = [(0.0, 75.0), (1.7, 22.3)]
     mesh = distmesh(loop, SizeField(3.0, 1.0, 12.0, (path,)))
     cut = cut_in(mesh, *path)
-    solution = solve(pose(mesh, (cut,), BRAIN, Skull(), both((0.0, 0.8)), lip_constraint=lips))
+    solution = solve(posed(mesh, (cut,), BRAIN, Skull(), both((0.0, 0.8)), lip_constraint=lips))
     print(f"{lips}: {len(mesh.points)} nodes, lip error rms {solution.lip_error_rms_mm:.4f}, "
           f"largest {solution.lip_error_max_mm:.3f} mm")
     assert solution.lip_error_rms_mm <= 0.03
@@ -99,7 +97,7 @@ def test_stable_lips_on_the_default_mesh(lips):
 
 @pytest.mark.parametrize("lips", ["mortar", "nitsche", "pointwise"])
 def test_the_reported_lip_error_is_that_of_the_field(lips):
-    problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, both(), lip_constraint=lips)
+    problem = posed(MESH, (CUT,), BRAIN, HARD_SKULL, both(), lip_constraint=lips)
     solution = solve(problem)
     errors = []
     for retraction, span in zip(problem.retractions, problem.spans):
@@ -115,13 +113,13 @@ def test_the_reported_lip_error_is_that_of_the_field(lips):
 
 def skull_springs():
     """The skull's own springs: on the part of a facet that lies beyond the hard switch."""
-    return pose(MESH, (CUT,), BRAIN, HARD_SKULL).springs
+    return posed(MESH, (CUT,), BRAIN, HARD_SKULL).springs
 
 
 @pytest.mark.parametrize("lips", ["mortar", "nitsche", "pointwise"])
 def test_work_of_the_retractors_is_the_energy(lips):
     """Clapeyron: 2 W = sum of force times displacement, when the skull is hard and each lip moves by one vector."""
-    solution = solve(pose(MESH, (CUT,), BRAIN, HARD_SKULL, both(), lip_constraint=lips))
+    solution = solve(posed(MESH, (CUT,), BRAIN, HARD_SKULL, both(), lip_constraint=lips))
     U = solution.U.ravel()
     work = sum(np.dot(r.force_mN_per_mm, m) for r, m in zip(solution.retractor, PAPER))
     # Nitsche's force acts on a lip that is where it should be only up to the lip error: .4 mm on this 7 mm mesh.
@@ -138,7 +136,7 @@ def test_a_blade_among_tip_functions_does_its_work(lips, tip_enrichment):
     move = (3.5, -1.0)
     blade = Retraction(0, 1, displacement_mm=move, blade=(0.0, 0.8))
     how = {"lips": "free", "lip_constraint": lips, "tip_enrichment": tip_enrichment}
-    problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, (blade,), **how)
+    problem = posed(MESH, (CUT,), BRAIN, HARD_SKULL, (blade,), **how)
     solution = solve(problem)
     U = solution.U.ravel()
     work = np.dot(solution.retractor[0].force_mN_per_mm, move)
@@ -149,7 +147,7 @@ def test_a_blade_among_tip_functions_does_its_work(lips, tip_enrichment):
 def test_retractors_and_skull_are_in_balance(lips):
     """The nodal forces at the skull, from the elastic stiffness alone, and the retractors' add up to nothing."""
     move = np.array([(3.5, -1.0), (-1.5, 2.0)])
-    problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, both(move=move), lip_constraint=lips)
+    problem = posed(MESH, (CUT,), BRAIN, HARD_SKULL, both(move=move), lip_constraint=lips)
     solution = solve(problem)
     nodal = (stiffness(problem.space, BRAIN) @ solution.U.ravel()).reshape(-1, 2)
     far = np.linalg.norm(MESH.points - CUT.path[0], axis=1) >= 15
@@ -171,7 +169,7 @@ def test_a_lip_force_does_its_work():
     """Half the force times the mean displacement of its blade is the energy; forces are reported as given."""
     force = np.array([5.0, 1.0])
     retraction = Retraction(0, 1, force_mN_per_mm=tuple(force), blade=(0.0, 0.5))
-    problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, (retraction,))
+    problem = posed(MESH, (CUT,), BRAIN, HARD_SKULL, (retraction,))
     solution = solve(problem)
     q = lip_quadrature(problem.space, 0, 1, problem.spans[0], n=12)
     mean = q.weights @ (problem.space.basis_in(q.points, q.parts) @ solution.U) / q.weights.sum()
@@ -186,11 +184,11 @@ def test_prescribing_the_displacement_that_a_force_gave_gives_the_force_back():
     mesh = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
     cut = cut_in(mesh, (-1, 4.2), (13, 5.9))
     held = tuple(Retraction(0, s, normal_mm=0.1, blade=(0.2, 0.7)) for s in (1, -1))
-    forces = solve(pose(mesh, (cut,), BRAIN, Skull("fixed", 3.0, 2.0), held)).retractor
+    forces = solve(posed(mesh, (cut,), BRAIN, Skull("fixed", 3.0, 2.0), held)).retractor
     again = tuple(
         Retraction(0, r.side, force_mN_per_mm=r.force_mN_per_mm, blade=(0.2, 0.7)) for r in forces
     )
-    problem = pose(mesh, (cut,), BRAIN, Skull("fixed", 3.0, 2.0), again)
+    problem = posed(mesh, (cut,), BRAIN, Skull("fixed", 3.0, 2.0), again)
     solution = solve(problem)
     for retraction, span in zip(again, problem.spans):
         q = lip_quadrature(problem.space, 0, retraction.side, span)
@@ -201,7 +199,7 @@ def test_prescribing_the_displacement_that_a_force_gave_gives_the_force_back():
 
 
 def test_the_triangles_are_the_map():
-    problem = pose(MESH, (CUT,), BRAIN, HARD_SKULL, both())
+    problem = posed(MESH, (CUT,), BRAIN, HARD_SKULL, both())
     solution = solve(problem)
     assert (solution.rest_areas > 0).all()
     assert_allclose(solution.rest_areas.sum(), MESH.volumes.sum(), rtol=1e-12)
@@ -221,7 +219,7 @@ def halves(move):
     mesh = jittered(12.0, 10.0, 0.5, 0.25, seed=25)
     cut = cut_in(mesh, (-1, 5.03), (13, 5.03))
     skull = Skull("contact", 0.0, 0.0, arcs=(Arc((0.0, 3.0), (12.0, 3.0), "fixed"),))
-    return pose(mesh, (cut,), BRAIN, skull, (Retraction(0, -1, displacement_mm=(0.0, move), blade=(0.3, 0.6)),))
+    return posed(mesh, (cut,), BRAIN, skull, (Retraction(0, -1, displacement_mm=(0.0, move), blade=(0.3, 0.6)),))
 
 
 def test_a_half_that_its_lip_presses_into_the_skull_is_held():
@@ -239,13 +237,13 @@ def test_a_half_that_its_lip_pushes_away_from_the_skull_drifts():
     arcs = (Arc((0.0, 0.0), (12.0, 0.0), "fixed"), Arc((12.0, 10.0), (0.0, 10.0), "free"))
     blade = Retraction(0, -1, displacement_mm=(0.0, 0.2), blade=(0.3, 0.6))
     with pytest.raises(XfemnavError, match=r"E406.*does not bear \d+%"):
-        solve(pose(mesh, (cut,), BRAIN, Skull("contact", 0.0, 0.0, arcs=arcs), (blade,)))
+        solve(posed(mesh, (cut,), BRAIN, Skull("contact", 0.0, 0.0, arcs=arcs), (blade,)))
 
 
 def test_a_residual_above_the_limit_is_an_error(monkeypatch):
     monkeypatch.setattr(minimise, "RESIDUAL_LIMIT", -1.0)
     with pytest.raises(XfemnavError, match="E407"):
-        solve(pose(MESH, (CUT,), BRAIN, HARD_SKULL, both()))
+        solve(posed(MESH, (CUT,), BRAIN, HARD_SKULL, both()))
 
 
 def energy_norm_error(problem, solution, field):
@@ -277,7 +275,7 @@ def test_convergence_to_williams_field(tip_enrichment, low, high):
         mesh = jittered(2.0, 2.0, h, 0.2, seed=7)
         cut = cut_in(mesh, (-0.1, tip[1]), tip)
         measured = measured_outline(mesh, cut, lambda x, side: field.displacement(x, side * (x[:, 0] < 1)))
-        problem = pose(
+        problem = posed(
             mesh, (cut,), material, Skull(), boundary_displacement=measured, tip_enrichment=tip_enrichment,
             tip_radius_mm=0.4 if tip_enrichment == "geometric" else None,
         )
@@ -295,7 +293,7 @@ def test_mean_pressure_is_the_normal_traction_also_round_a_corner(lips):
     cut = cut_in(mesh, (3, 80), (1.7, 50.3), (20.2, 32.1))
     opening = 1.5
     blades = tuple(Retraction(0, side, normal_mm=opening, blade=(0, 0.7)) for side in (1, -1))
-    problem = pose(mesh, (cut,), BRAIN, Skull("fixed", 15.0, 0.0), blades, lip_constraint=lips)
+    problem = posed(mesh, (cut,), BRAIN, Skull("fixed", 15.0, 0.0), blades, lip_constraint=lips)
     solution = solve(problem)
     length = problem.spans[0, 1] - problem.spans[0, 0]
     work = sum(force.mean_pressure_kPa for force in solution.retractor) * length * opening

@@ -14,6 +14,7 @@ from tests.meshes import cut_in, disc, grid, jittered, space_of
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.enrichment import BRANCH, enrich
+from xfemnav.mechanics.rules import Basis
 from xfemnav.mechanics.space import Space
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
@@ -230,7 +231,7 @@ def test_no_function_jumps_but_on_the_cut(name, tip_enrichment):
     mesh = jittered()
     cut = cut_in(mesh, *CUTS_INSIDE[name], internal="inside" in name)
     split = embed(mesh, (cut,))
-    space = Space(mesh, split, enrich(mesh, split, tip_enrichment, 4.0))
+    space = Space(mesh, split, enrich(mesh, split, Basis(tip_enrichment, 4.0)))
     p, q = split.joins.T
     jump = space.basis_in(split.middles, p) - space.basis_in(split.middles, q)
     assert abs(jump).max() < 1e-9

@@ -13,6 +13,7 @@ from xfemnav.geometry.solid.levels import Level, snapped
 from xfemnav.geometry.solid.split import split
 from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.enrichment import enrich
+from xfemnav.mechanics.rules import Basis
 
 SIZES = {2: 6, 3: 4}
 NOTHING = 1e-9  # mm: rounding of functions of a few mm
@@ -158,7 +159,7 @@ def test_the_functions_themselves_say_the_same(kind, d):
 
 def pieces(mesh, parts):
     """Volumes of the pieces of each node's support, sorted by node and size: what the basis functions live on."""
-    table = enrich(mesh, parts, "none")
+    table = enrich(mesh, parts, Basis("none"))
     size = np.bincount(table.dof.ravel(), np.repeat(np.bincount(parts.part, parts.volumes), mesh.dim + 1))
     order = np.lexsort((size, table.node))
     return table.node[order], size[order]

@@ -22,8 +22,8 @@ from xfemnav.mechanics.contact import lip_contacts, lip_pressure
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.fracture import stress_intensity
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.rules import LipRules, Rules, Skull
 from xfemnav.mechanics.solution import solve
 
 ANGLES = (0, 15, 30, 45, 60, 75)
@@ -100,7 +100,7 @@ def pushes():
             blade = (Retraction(0, 1, displacement_mm=(-3.0, 0.0), blade=(0.0, held)),)
             row = {"cut": name, "held": held, "nodes": len(mesh.points)}
             for lips in ("contact", "free"):
-                problem = pose(mesh, (cut,), Material(), Skull(), blade, lips=lips)
+                problem = pose(mesh, (cut,), Material(), Skull(), blade, rules=Rules(lips=LipRules(lips)))
                 solution = solve(problem)
                 arc, gap = lip_gaps(problem.space, solution.U, 0)
                 pixels = pull_back(solution.rest, solution.moved, (-75, -75), (1.0, 1.0), (151, 151)).overlap

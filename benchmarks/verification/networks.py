@@ -18,8 +18,8 @@ from xfemnav.geometry.resection import place_resection
 from xfemnav.geometry.sizing import SizeField
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import Problem, pose
+from xfemnav.mechanics.rules import Basis, LipRules, Rules, Skull
 from xfemnav.mechanics.solution import solve
 
 CASES = NETWORKS | RESECTIONS
@@ -80,8 +80,7 @@ def posed(network: Network, mesh: Mesh, enrichment: str) -> Problem:
     resections = (place_resection([network.removed], boundary),) if network.removed else ()
     skull = Skull("fixed", FREE, 0.0)
     cuts = placed(network, boundary)
-    kind = {"tip_enrichment": enrichment, "lips": "free", "resections": resections}
-    return pose(mesh, cuts, material, skull, lips, **kind)
+    return pose(mesh, cuts, material, skull, lips, resections, rules=Rules(Basis(enrichment), LipRules("free")))
 
 
 def opened(name: str, mesh: Mesh, enrichment: str) -> Outcome:

@@ -11,15 +11,15 @@ from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.constraints import SKULL, Constraints, Contacts, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import Problem
+from xfemnav.mechanics.rules import Basis, Rules, Skull
 from xfemnav.mechanics.space import Space
 
 
 def cut_space(mesh: Mesh, cuts: tuple[Cut, ...], tip_enrichment: str, tip_radius_mm: float | None = None) -> Space:
     """The finite element space of a mesh with cuts."""
     split = embed(mesh, cuts)
-    return Space(mesh, split, enrich(mesh, split, tip_enrichment, tip_radius_mm))
+    return Space(mesh, split, enrich(mesh, split, Basis(tip_enrichment, tip_radius_mm)))
 
 
 def plate_problem(
@@ -44,9 +44,7 @@ def plate_problem(
         springs=csr_array((n_dof, n_dof)),
         load=load,
         removed=np.zeros(space.parts.n_parts, dtype=bool),
-        tip_enrichment=tip_enrichment,
-        lip_constraint="mortar",
-        hold_tip=False,
+        rules=Rules(Basis(tip_enrichment)),
         contacts=contacts,
     )
 

@@ -20,8 +20,8 @@ from xfemnav.geometry.sizing import SizeField
 from xfemnav.mechanics.condensation import Condensation, condense
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.outline import Skull
 from xfemnav.mechanics.problem import Problem, pose
+from xfemnav.mechanics.rules import Basis, LipRules, Rules, Skull
 from xfemnav.mechanics.solution import Solution, solve
 
 PATH = np.array([MOUTH, TIP])
@@ -89,8 +89,7 @@ def posed(
     material = material or Material(BRAIN.young / 1000, BRAIN.poisson)
     cut, lips = drawn(mesh, held, path, lift)
     skull = Skull("fixed", FREE, ramp_mm)
-    held = {"tip_enrichment": enrichment, "lip_constraint": lip_constraint}
-    return pose(mesh, (cut,), material, skull, lips, lips="free", **held)
+    return pose(mesh, (cut,), material, skull, lips, rules=Rules(Basis(enrichment), LipRules("free", lip_constraint)))
 
 
 @dataclass(frozen=True, eq=False)

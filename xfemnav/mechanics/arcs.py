@@ -1,54 +1,29 @@
 """Parts of the organ's outline with a kind of their own: where it is fixed, slides, is free, or touches the skull."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.measured import MEASURED_OFF_MM
+from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.space import Space
 
-KINDS = ("fixed", "sliding", "free", "contact")
 
-
-@dataclass(frozen=True)
-class Arc:
-    """A part of the outline with a kind of its own, counter-clockwise from the outline's point nearest to `start` to
-    the one nearest to `end` (2,) mm; `gap_mm` for contact."""
-
-    start: tuple[float, float]
-    end: tuple[float, float]
-    kind: str
-    gap_mm: float = 0.0
-
-    def __post_init__(self):
-        check_kind(self.kind, self.gap_mm)
-
-
-def check_kind(kind: str, gap_mm: float) -> None:
-    """Raises ValueError for an unknown kind, XfemnavError E409 for a gap below zero."""
-    if kind not in KINDS:
-        raise ValueError(f"skull {kind!r} is not {', '.join(KINDS[:-1])} or {KINDS[-1]}")
-    if not 0 <= gap_mm < np.inf:
-        raise XfemnavError("E409", f"the gap to the skull is {gap_mm:g} mm; give a length of 0 mm or more.")
-
-
-def facet_kinds(space: Space, kind: str, gap_mm: float, arcs: tuple[Arc, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Kind (b,) and gap (b,) mm of every facet of the outline: those given, but for the facets with middles in an arc.
+def facet_kinds(space: Space, skull: Skull) -> tuple[np.ndarray, np.ndarray]:
+    """Kind (b,) and gap (b,) mm of every facet of the outline: the skull's, but for the facets with middles in an arc.
 
     Raises XfemnavError E409 for arcs whose ends lie off the outline or hold no facet.
     """
     split, mesh = space.parts, space.mesh
-    kinds = np.full(len(split.rim.facets), kind, dtype=object)
-    gaps = np.full(len(kinds), float(gap_mm))
-    if not arcs:
+    kinds = np.full(len(split.rim.facets), skull.kind, dtype=object)
+    gaps = np.full(len(kinds), float(skull.gap_mm))
+    if not skull.arcs:
         return kinds, gaps
     outline = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
     middles = shapely.points(split.rim.facets.mean(axis=1))
     on = shapely.distance(outline, middles) < 1e-6
     at = shapely.line_locate_point(outline, middles)
-    for arc in arcs:
+    for arc in skull.arcs:
         ends = shapely.points(np.array([arc.start, arc.end], float))
         off = shapely.distance(outline, ends) if np.isfinite(shapely.get_coordinates(ends)).all() else np.inf
         where = f"arc from ({arc.start[0]:.1f}, {arc.start[1]:.1f}) to ({arc.end[0]:.1f}, {arc.end[1]:.1f}) mm"

@@ -12,6 +12,7 @@ from xfemnav.mechanics.constraints import Constraints, Contacts, Means, stack
 from xfemnav.mechanics.contact import join, lip_contacts
 from xfemnav.mechanics.outline import OutlineConditions, hung
 from xfemnav.mechanics.pieces import at_rest, sort_out
+from xfemnav.mechanics.rules import LipRules
 from xfemnav.mechanics.space import Space
 
 
@@ -31,7 +32,7 @@ class Bare:
         object.__setattr__(self, "load", frozen_array(self.load, float, (self.springs.shape[0],), "load"))
 
 
-def without_blades(space: Space, cuts, resections, outline: OutlineConditions, load, lips: str) -> Bare:
+def without_blades(space: Space, cuts, resections, outline: OutlineConditions, load, rules: LipRules) -> Bare:
     """The conditions on the same basis without those of blades. Pieces that only blades hold stay at their mean.
 
     load (n_dof,) mN: that of weight and pressures. Raises XfemnavError E406 where blades alone hold the organ.
@@ -53,7 +54,7 @@ def without_blades(space: Space, cuts, resections, outline: OutlineConditions, l
         ) from None
     conditions = stack([conditions, at_rest(space.enrichment, gone)], n_dof)
     touching = [outline.contacts]
-    if lips == "contact":
+    if rules.touch:
         touching.append(lip_contacts(space, (), np.empty((0, 2)), space.parts.removed | gone))
     contacts = join(touching, n_dof)
     return Bare(conditions, springs, outline.load + load, contacts if len(contacts.gap) else None, weak, means)

@@ -26,7 +26,8 @@ from xfemnav.mechanics.constraints import Constraints, eliminate
 from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
 from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.factor import NotPositiveDefinite, factor
-from xfemnav.mechanics.outline import Skull, skull_conditions
+from xfemnav.mechanics.outline import skull_conditions
+from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.space import Space
 
 HELD = ("fixed", "sliding")

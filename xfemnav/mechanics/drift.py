@@ -63,7 +63,7 @@ def refuse_flight(problem: Problem, rest, moved, body) -> None:
     k = far.argmax()
     if far[k] > size + np.abs(problem.constraints.d).max(initial=0.0):
         why = "nothing keeps it in its place, or the load is too large for so soft a tissue"
-        if problem.hung is not None and problem.model != "linear":
+        if problem.hung is not None and problem.rules.model != "linear":
             why = "it has turned out of the skull that it only touches, whose contact is that of the shape at rest"
         raise XfemnavError(
             "E406",

@@ -5,16 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csc_array
 
-from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.mechanics.assembly import assemble
 from xfemnav.mechanics.quadrature import tip_rule
+from xfemnav.mechanics.rules import Solid
 from xfemnav.mechanics.space import Space
 from xfemnav.mechanics.tip_stiffness import tip_blocks
 
 
 class Isotropic:
     """Constants in cells, from `young_in` and `poisson_in`."""
+
+    @property
+    def plane_stress(self) -> bool:
+        """True where tissue is free to thicken across the plane."""
+        return self.stress_state == "stress"
 
     def lame_in(self, cells) -> tuple[np.ndarray, np.ndarray]:
         """Lame's constants mu and lambda, each (k,) kPa, of the solid in cells (k,)."""
@@ -23,7 +28,7 @@ class Isotropic:
     def moduli_in(self, cells) -> tuple[np.ndarray, np.ndarray]:
         """The same as they act between strains and stresses along the mesh's axes: of plane 'stress', if it is said."""
         mu, lam = self.lame_in(cells)
-        return mu, 2 * lam * mu / (lam + 2 * mu) if self.stress_state == "stress" else lam
+        return mu, 2 * lam * mu / (lam + 2 * mu) if self.plane_stress else lam
 
     def p_wave_in(self, cells) -> np.ndarray:
         """The P-wave modulus lambda + 2 mu (k,) kPa in cells (k,): stress along a strain that is the only one."""
@@ -32,23 +37,13 @@ class Isotropic:
 
 
 @dataclass(frozen=True)
-class Material(Isotropic):
-    """Isotropic linear elasticity: Young's modulus kPa, Poisson's ratio, and in the plane 'strain' or 'stress'.
+class Material(Isotropic, Solid):
+    """A solid everywhere: its elasticity."""
 
-    Raises XfemnavError E404 for constants out of range.
-    """
-
-    young_kpa: float = 3.0
-    poisson: float = 0.45
-    stress_state: str = "strain"
-
-    def __post_init__(self):
-        if not (np.isfinite(self.young_kpa) and self.young_kpa > 0):
-            raise XfemnavError("E404", f"Young's modulus is {self.young_kpa:g} kPa; it must be positive.")
-        if not 0 <= self.poisson <= 0.499:
-            raise XfemnavError("E404", f"Poisson's ratio is {self.poisson:g}; it must lie in 0..0.499.")
-        if self.stress_state not in ("strain", "stress"):
-            raise XfemnavError("E404", f"stress state is {self.stress_state!r}; it must be 'strain' or 'stress'.")
+    @classmethod
+    def of(cls, solid: Solid) -> "Material":
+        """The material of a solid."""
+        return cls(**vars(solid))
 
     @property
     def shear_modulus(self) -> float:
@@ -59,7 +54,7 @@ class Material(Isotropic):
     def kappa(self) -> float:
         """Kolosov's constant: 3 - 4 nu in plane strain, (3 - nu) / (1 + nu) in plane stress."""
         nu = self.poisson
-        return 3 - 4 * nu if self.stress_state == "strain" else (3 - nu) / (1 + nu)
+        return (3 - nu) / (1 + nu) if self.plane_stress else 3 - 4 * nu
 
     def at(self, cell: int) -> "Material":
         """The material of a cell: this one."""

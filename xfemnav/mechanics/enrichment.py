@@ -21,6 +21,7 @@ from xfemnav.geometry.partition import HERE
 from xfemnav.geometry.parts import Parts
 from xfemnav.mechanics.angles import centroids, torn, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_functions, polar
+from xfemnav.mechanics.rules import Basis
 
 STANDARD, HEAVISIDE, BRANCH = 0, 1, 2
 
@@ -89,24 +90,21 @@ class Enrichment:
         return np.unique(self.node[self.kind >= BRANCH])
 
 
-def enrich(
-    mesh: Mesh, split: Parts, tip_enrichment: str = "topological", tip_radius_mm: float | None = None
-) -> Enrichment:
+def enrich(mesh: Mesh, split: Parts, basis: Basis = Basis()) -> Enrichment:
     """Find the pieces of every node's support and the nodes that carry branch functions.
 
-    tip_enrichment: 'topological' (the paper's: nodes whose support holds the tip), 'none', or 'geometric': every node
-    within `tip_radius_mm` of the tip (default `default_radius`), with the blending ramp of the corrected XFEM (Fries
-    2008): R is the sum of the nodal shape functions of those nodes, and all nodes of their cells carry
-    N_i R (F_l - F_l(x_i)).
+    Topological ones are the paper's. Geometric ones have the blending ramp of the corrected XFEM (Fries 2008): R is the
+    sum of the nodal shape functions of the nodes near the tip, whose cells' nodes all carry N_i R (F_l - F_l(x_i)).
     """
     dof, node, body = _pieces(mesh, split)
     kind = np.where(np.arange(len(node)) < len(mesh.points), STANDARD, HEAVISIDE)
     rows, entries, first = [], [], len(node)
-    if tip_enrichment != "none" and len(split.fronts.at):
+    if not basis.plain and len(split.fronts.at):
         middle = centroids(split)
         for tip in range(len(split.fronts.at)):
-            if tip_enrichment == "geometric":
-                radius = tip_radius_mm if tip_radius_mm is not None else default_radius(mesh, split, tip)
+            if basis.geometric:
+                own = basis.tip_radius_mm
+                radius = own if own is not None else default_radius(mesh, split, tip)
                 table = _within_radius(mesh, split, dof, middle, tip, radius)
             else:
                 table = _at_tip(mesh, split, dof, middle, tip)

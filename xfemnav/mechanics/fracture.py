@@ -60,7 +60,7 @@ def stress_intensity(
     integral = -np.einsum("q,mqj,qj->m", weights, P, dq)
     integral += _lip_integral(space, material, np.asarray(U), tip, angle, frame, radius_mm, pressure)
     modulus = material.young_kpa
-    if material.stress_state == "strain":
+    if not material.plane_stress:
         modulus /= 1 - material.poisson**2
     K_I, K_II = integral * modulus / 2
     return float(K_I), float(K_II)

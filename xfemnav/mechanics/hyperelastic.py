@@ -99,7 +99,7 @@ class Organ:
 
     @property
     def _constants(self):
-        return self.mu, self.lam, self.problem.material.stress_state
+        return self.mu, self.lam, self.problem.material.plane_stress
 
 
 def organ(problem: Problem) -> Organ:

@@ -18,10 +18,11 @@ from xfemnav.geometry.subcells import embed
 from xfemnav.geometry.window import Window, window
 from xfemnav.mechanics.condensation import Condensation, chosen, with_rim
 from xfemnav.mechanics.constraints import Constraints
-from xfemnav.mechanics.elasticity import Material, Tissue, plain_blocks, stiffness_of_parts
+from xfemnav.mechanics.elasticity import Material, plain_blocks, stiffness_of_parts
 from xfemnav.mechanics.enrichment import HEAVISIDE, Enrichment, enrich
-from xfemnav.mechanics.outline import skull_conditions
+from xfemnav.mechanics.outline import refuse_mouths, skull_conditions
 from xfemnav.mechanics.reduction import blocks, inverse_roots, vector_tip_basis
+from xfemnav.mechanics.rules import Basis
 from xfemnav.mechanics.space import Space
 
 
@@ -108,12 +109,10 @@ class Mixing:
         return np.concatenate([C[:, self.plain], C[:, self.tips] @ self.mix], axis=1)
 
 
-def incise(
-    organ: Condensation, cuts: tuple[Cut, ...], tip_enrichment: str = "topological", tip_radius_mm: float | None = None
-) -> Incision:
+def incise(organ: Condensation, cuts: tuple[Cut, ...], basis: Basis = Basis()) -> Incision:
     """Cut the organ. Raises OutOfReach, CutThrough, XfemnavError E302, E407."""
-    organ.skull.refuse_mouths(cuts)
-    space, part = _space(organ, cuts, tip_enrichment, tip_radius_mm)
+    refuse_mouths(organ.skull, cuts)
+    space, part = _space(organ, cuts, basis)
     mesh, table, split = space.mesh, space.enrichment, space.parts
     material = _restricted(organ.material, part.cells)
     mouths = np.array([path[0] for path, cut in zip(split.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(-1, 2)
@@ -145,22 +144,21 @@ def incise(
     plain, tips = _order(table, rows, number[fixed])
     stiffness = stiffness_of_parts(space, material, parts), outline.springs
     K = _gathered(np.concatenate([plain, tips]), number, outside, stiffness)
-    A, R = _mixed(space, material, tip_enrichment, rows, K, plain, tips)
+    A, R = _mixed(space, material, basis, rows, K, plain, tips)
     return Incision(organ, cuts, part, space, rows, number, give, stiff, A, R, skull)
 
 
-def _space(organ, cuts, tip_enrichment, tip_radius_mm):
+def _space(organ, cuts, basis):
     """Mesh, split and basis of the window about the cuts, and the window."""
-    geometric = tip_enrichment == "geometric"
     radius = 0.0
-    if geometric:
-        radius = 2 * (tip_radius_mm or max(max(cut.length for cut in cuts) / 5, 4 * organ.mesh.sizes.max()))
+    if basis.geometric:
+        radius = 2 * (basis.tip_radius_mm or max(max(cut.length for cut in cuts) / 5, 4 * organ.mesh.sizes.max()))
     path = np.concatenate([cut.path for cut in cuts])
     live = organ.uncut.rim.parts[organ.live_facets]
     part = window(organ.mesh, path, radius, live)
     split = embed(part.mesh, cuts)
     split = with_rim(split, _live_rim(organ, part, split))
-    table = enrich(part.mesh, split, tip_enrichment, tip_radius_mm)
+    table = enrich(part.mesh, split, basis)
     # The pieces of a node on the border join outside of the window.
     spurious = (table.kind == HEAVISIDE) & part.border[table.node]
     own = np.where(spurious, table.node, np.arange(table.n_rows))
@@ -200,7 +198,7 @@ def _refuse_through(split: Parts, table: Enrichment):
 def _restricted(material, cells):
     if isinstance(material, Material):
         return material
-    return Tissue(material.young_kpa[cells], material.poisson[cells], material.stress_state)
+    return replace(material, young_kpa=material.young_kpa[cells], poisson=material.poisson[cells])
 
 
 def _resistance(organ, part, nodes):
@@ -265,14 +263,14 @@ def _gathered(order, number, outside, matrices):
     return K
 
 
-def _mixed(space, material, tip_enrichment, rows, K, plain, tips):
+def _mixed(space, material, basis, rows, K, plain, tips):
     """A = R'KR and R, which makes the block of each tip node as in `node_blocks`; K has `plain`, then `tips`.
 
     The scale of the other unknowns makes no difference to a Cholesky factor.
     """
     p, table = len(plain), space.enrichment
     dofs, T = (2 * rows[:, None] + np.arange(2)).ravel()[tips], np.eye(len(tips))
-    if tip_enrichment == "geometric":
+    if basis.geometric:
         T = vector_tip_basis(space, material).tocsr()[dofs].tocsc()
         T = T[:, np.flatnonzero(np.diff(T.indptr))].toarray()
     block = T.T @ K[p:, p:] @ T

@@ -17,8 +17,9 @@ from xfemnav.mechanics.constraints import Constraints, Contacts, refuse_contradi
 from xfemnav.mechanics.contact import lip_contacts
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.incision import Incision, too_stiff
-from xfemnav.mechanics.lips import Retraction, held_length, held_span, lip_quadrature, lip_rows
+from xfemnav.mechanics.lips import Retraction, held_length, held_spans, lip_quadrature, lip_rows
 from xfemnav.mechanics.minimise import CONTRADICTION_MM, SETTLED, TOUCH_MM, pressed
+from xfemnav.mechanics.rules import LipRules
 
 #: A condition is left out when what it asks beyond the others is smaller than this, relative.
 DEPENDENT = 1e-10
@@ -212,17 +213,12 @@ class System:
         return lapack.dpotrs(self.factor, b, lower=True)[0]
 
 
-def lip_modes(
-    incision: Incision, blades: tuple[Retraction, ...], lip_constraint: str = "mortar", hold_tip: bool = False
-) -> LipModes:
+def lip_modes(incision: Incision, blades: tuple[Retraction, ...], rules: LipRules = LipRules()) -> LipModes:
     """Hold the lips that the `blades` name, whatever they do with them. Raises XfemnavError E402, E407."""
     space = incision.space
     units = [replace(blade, displacement_mm=None, normal_mm=1.0) for blade in blades]
-    whole = lip_constraint == "pointwise"
-    spans = np.array([(0.0, np.inf) if whole and unit.blade is None else held_span(space, incision.cuts, unit)
-                      for unit in units]).reshape(-1, 2)
-    rows = [lip_rows(space, unit, span, group, lip_constraint, hold_tip)
-            for group, (unit, span) in enumerate(zip(units, spans))]
+    spans = held_spans(space, incision.cuts, units, rules)
+    rows = [lip_rows(space, unit, span, group, rules) for group, (unit, span) in enumerate(zip(units, spans))]
     conditions = stack([*rows, incision.skull], space.enrichment.n_dof)
     # A condition's weights on the partition of unity are its right-hand side for a unit translation.
     weights = conditions.C @ np.repeat(space.enrichment.kind < BRANCH, 2)

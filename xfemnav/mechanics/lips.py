@@ -14,6 +14,7 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.cut import Cut, left_normals
 from xfemnav.mechanics.constraints import Constraints, vector_rows
 from xfemnav.mechanics.quadrature import gauss
+from xfemnav.mechanics.rules import BLADE, LipRules
 from xfemnav.mechanics.space import Space
 
 LEFT, RIGHT = 1, -1
@@ -36,7 +37,7 @@ class Retraction:
     displacement_mm: tuple[float, float] | None = None
     normal_mm: float | None = None
     force_mN_per_mm: tuple[float, float] | None = None
-    blade: tuple[float, float] | None = (0.0, 0.8)
+    blade: tuple[float, float] | None = BLADE
     blade_given: bool = True
     relative_to: str | None = None
 
@@ -161,6 +162,13 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
     return float(left.min()), float(left.max())
 
 
+def held_spans(space: Space, cuts: tuple[Cut, ...], retractions: tuple[Retraction, ...], rules: LipRules) -> np.ndarray:
+    """Held part (r, 2) mm of each lip; for pointwise rows without a blade the whole lip, as in the paper."""
+    spans = [(0.0, np.inf) if rules.pointwise and r.holds and r.blade is None else held_span(space, cuts, r)
+             for r in retractions]
+    return np.array(spans).reshape(-1, 2)
+
+
 def mortar_rows(space: Space, retraction: Retraction, span, group: int) -> Constraints:
     """Mean displacement over hats of spacing 2 h along the span: integral of hat_k (u - given) = 0."""
     knots = knots_along(space, retraction.cut, span)
@@ -232,13 +240,11 @@ def pointwise_rows(space: Space, retraction: Retraction, span, group: int, hold_
     return vector_rows(space.basis_in(points[held], parts[held]), given, group)
 
 
-def lip_rows(
-    space: Space, retraction: Retraction, span, group: int, lip_constraint: str, hold_tip: bool
-) -> Constraints:
+def lip_rows(space: Space, retraction: Retraction, span, group: int, rules: LipRules) -> Constraints:
     """The conditions of a held lip, 'mortar' or 'pointwise'."""
-    if lip_constraint == "mortar":
-        return mortar_rows(space, retraction, span, group)
-    return pointwise_rows(space, retraction, span, group, hold_tip)
+    if rules.pointwise:
+        return pointwise_rows(space, retraction, span, group, rules.hold_tip)
+    return mortar_rows(space, retraction, span, group)
 
 
 def lip_load(space: Space, retraction: Retraction, span) -> np.ndarray:

@@ -3,56 +3,25 @@
 Both are dead loads: they keep the direction and place that they have at rest, as small strains imply.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from xfemnav.geometry.mesh import area_vectors
 from xfemnav.geometry.removal import wall_of
 from xfemnav.geometry.snapping import SNAP
 from xfemnav.mechanics.quadrature import gauss_in_simplex
+from xfemnav.mechanics.rules import Gravity, Loads
 from xfemnav.mechanics.space import Space
 
 #: Weight of a kilogramme per cubic metre, as kPa/mm: 9.80665 N/kg.
 KPA_PER_MM = 9.80665e-6
 
 
-@dataclass(frozen=True)
-class Gravity:
-    """Weight of the tissue: `direction` (d,), in the plane its length the share of gravity there.
-
-    Tissue farther along the direction than `fluid_level_mm` floats: its weight is that of the difference of the
-    densities. None: no fluid, as after drainage of the cerebrospinal fluid. Densities in kg/m^3.
-    """
-
-    direction: tuple[float, ...]
-    density: float = 1000.0
-    fluid_density: float = 1007.0
-    fluid_level_mm: float | None = None
-
-    def force(self, points) -> np.ndarray:
-        """Force (k, d) kPa/mm on the tissue at points (k, d) mm."""
-        down = np.asarray(self.direction, float)
-        density = np.full(len(points), self.density)
-        if self.fluid_level_mm is not None:
-            density -= self.fluid_density * (points @ down > self.fluid_level_mm * np.linalg.norm(down))
-        return KPA_PER_MM * density[:, None] * down
-
-
-@dataclass(frozen=True)
-class Pressure:
-    """`kpa` on the wall of the resection with index `resection`, or on the outline (None); positive into the tissue."""
-
-    kpa: float
-    resection: int | None = None
-
-
-def dead_loads(space: Space, gravity: Gravity | None, pressures: tuple[Pressure, ...], resections=()) -> np.ndarray:
+def dead_loads(space: Space, loads: Loads, resections=()) -> np.ndarray:
     """Nodal forces (n_dof,) mN per mm of thickness of the weight and of all pressures."""
     load, split = np.zeros(space.enrichment.n_dof), space.parts
-    if gravity is not None:
-        load += weight_load(space, gravity)
-    for pressure in pressures:
+    if loads.gravity is not None:
+        load += weight_load(space, loads.gravity)
+    for pressure in loads.pressures:
         if pressure.resection is None:
             load += pressure_load(space, split.rim.facets, split.rim.parts, pressure.kpa)
         else:
@@ -69,7 +38,16 @@ def weight_load(space: Space, gravity: Gravity) -> np.ndarray:
     to the triangle.
     """
     points, weights, parts = space.rule(~space.parts.removed[space.parts.part], degree=1)
-    return (space.basis_in(points, parts).T @ (weights[:, None] * gravity.force(points))).ravel()
+    return (space.basis_in(points, parts).T @ (weights[:, None] * _weight(gravity, points))).ravel()
+
+
+def _weight(gravity, points):
+    """Force (k, d) kPa/mm on the tissue at points (k, d) mm."""
+    down = np.asarray(gravity.direction, float)
+    density = np.full(len(points), gravity.density)
+    if gravity.fluid_level_mm is not None:
+        density -= gravity.fluid_density * (points @ down > gravity.fluid_level_mm * np.linalg.norm(down))
+    return KPA_PER_MM * density[:, None] * down
 
 
 def pressure_load(space: Space, facets, parts, kpa: float) -> np.ndarray:

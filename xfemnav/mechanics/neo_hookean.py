@@ -12,41 +12,41 @@ import numpy as np
 STEPS = 12
 
 
-def energy(F, mu, lam, stress_state: str) -> np.ndarray:
+def energy(F, mu, lam, plane_stress: bool) -> np.ndarray:
     """W (q,) kPa of deformation gradients F (q, 2, 2) with det F > 0; Lame's constants (q,) kPa."""
     log_det = np.log(np.linalg.det(F))
-    v = _thickening(log_det, mu, lam, stress_state)
+    v = _thickening(log_det, mu, lam, plane_stress)
     log_J = log_det + v / 2
     return mu / 2 * ((F**2).sum(axis=(1, 2)) - 2 + np.expm1(v) - 2 * log_J) + lam / 2 * log_J**2
 
 
-def stress(F, mu, lam, stress_state: str) -> np.ndarray:
+def stress(F, mu, lam, plane_stress: bool) -> np.ndarray:
     """First Piola-Kirchhoff stress P = dW/dF (q, 2, 2) kPa: force per area at rest."""
-    g, _ = _pressure(np.log(np.linalg.det(F)), mu, lam, stress_state)
+    g, _ = _pressure(np.log(np.linalg.det(F)), mu, lam, plane_stress)
     return mu[:, None, None] * F - g[:, None, None] * np.linalg.inv(F).swapaxes(1, 2)
 
 
-def tangent(F, mu, lam, stress_state: str) -> np.ndarray:
+def tangent(F, mu, lam, plane_stress: bool) -> np.ndarray:
     """A = dP/dF (q, 4, 4) kPa, symmetric; rows and columns xx, xy, yx, yy of F."""
-    g, slope = _pressure(np.log(np.linalg.det(F)), mu, lam, stress_state)
+    g, slope = _pressure(np.log(np.linalg.det(F)), mu, lam, plane_stress)
     inverse = np.linalg.inv(F)
     # d(F^-T) = - F^-T dF^T F^-T and d(ln det F) = F^-T : dF
     A = np.einsum("q,qli,qjk->qijkl", g, inverse, inverse) - np.einsum("q,qji,qlk->qijkl", slope, inverse, inverse)
     return A.reshape(-1, 4, 4) + mu[:, None, None] * np.eye(4)
 
 
-def _thickening(log_det, mu, lam, stress_state):
+def _thickening(log_det, mu, lam, plane_stress):
     """v (q,) = ln F33^2."""
     v = np.zeros_like(log_det)
-    if stress_state == "stress":
+    if plane_stress:
         for _ in range(STEPS):
             v = v - (mu * np.expm1(v) + lam * (log_det + v / 2)) / (mu * np.exp(v) + lam / 2)
     return v
 
 
-def _pressure(log_det, mu, lam, stress_state):
+def _pressure(log_det, mu, lam, plane_stress):
     """g and its slope dg / d(ln det F), both (q,) kPa."""
-    if stress_state == "strain":
+    if not plane_stress:
         return mu - lam * log_det, -lam
-    g = mu * np.exp(_thickening(log_det, mu, lam, stress_state))
+    g = mu * np.exp(_thickening(log_det, mu, lam, plane_stress))
     return g, -2 * lam * g / (2 * g + lam)

@@ -12,13 +12,14 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.mechanics.arcs import Arc, check_kind, facet_kinds
+from xfemnav.mechanics.arcs import facet_kinds
 from xfemnav.mechanics.constraints import SKULL, Constraints, Contacts, each_component, normal_rows, stack, vector_rows
 from xfemnav.mechanics.contact import join
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.measured import measured_at, refuse_nothing
 from xfemnav.mechanics.pieces import free_motions
 from xfemnav.mechanics.rim import rim_points, rim_quadrature
+from xfemnav.mechanics.rules import Measured, Skull
 from xfemnav.mechanics.space import Space
 
 #: Length over which the skull's springs reach the tissue's own stiffness: k = (E / RAMP_STIFFNESS_MM) x / (1 - x).
@@ -27,48 +28,6 @@ RAMP_STIFFNESS_MM = 2.0
 STRADDLE_PENALTY = 1.5
 #: Springs, in units of E / mm, on what nothing but contact holds.
 WEAK = 1e-6
-
-
-@dataclass(frozen=True)
-class Skull:
-    """The outline is 'fixed', 'sliding', 'free' or in 'contact', except within `craniotomy_mm` of a mouth.
-
-    The grip of a fixed or sliding skull grows over `ramp_mm` by springs, from the craniotomy and from free and contact
-    arcs on; 0 switches it on at a point. Contact has no ramp: it can only push, so that nothing pulls at its edge.
-    `gap_mm`: how far the outline is from a skull in contact. `arcs` have their own kinds, the later ones before the
-    earlier; the craniotomy opens them too.
-    What is held by nothing but contact (which holds nobody back from leaving, or from sliding along) also hangs on
-    springs of 1e-6 E / mm along the outline: they carry under 1e-4 of a brain's weight where contact bears it, and keep
-    it in its place where nothing else does.
-    `border`: None, or the rectangle (low, high) (2,) mm in which the image ends, and how near to it (mm) the outline is
-    the image's end and no skull: tissue goes on there, so it is fixed whatever else is said, and no mouth opens it.
-    """
-
-    kind: str = "fixed"
-    craniotomy_mm: float = 20.0
-    ramp_mm: float = 4.0
-    gap_mm: float = 0.0
-    arcs: tuple[Arc, ...] = ()
-    border: tuple[tuple[float, float], tuple[float, float], float] | None = None
-
-    def __post_init__(self):
-        check_kind(self.kind, self.gap_mm)
-
-    def ends(self, points) -> np.ndarray:
-        """Whether the image ends at points (k, 2) mm of the outline, (k,) bool."""
-        if self.border is None:
-            return np.zeros(len(points), dtype=bool)
-        low, high, near = self.border
-        return np.min(np.abs(np.stack([points - low, points - high])), axis=(0, 2)) < near
-
-    def refuse_mouths(self, cuts) -> None:
-        """Raises XfemnavError E302 for a cut that enters where the image ends: there is no surface to open."""
-        for cut in cuts:
-            if cut.mouth and self.ends(cut.path[:1])[0]:
-                x, y = cut.path[0]
-                raise XfemnavError("E302", f"cut '{cut.name}' enters at ({x:.1f}, {y:.1f}) mm, where the image ends "
-                                           "inside the organ: there is no surface to open. Give an image that holds "
-                                           "the organ where the cut enters.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,31 +62,41 @@ def hung(space: Space, constraints: Constraints, springs, weak) -> csr_array | N
     return csr_array(weak.multiply(own[:, None]).multiply(own[None, :]))
 
 
+def image_ends(skull: Skull, points) -> np.ndarray:
+    """Whether the image ends at points (k, 2) mm of the outline, (k,) bool."""
+    if skull.border is None:
+        return np.zeros(len(points), dtype=bool)
+    low, high, near = skull.border
+    return np.min(np.abs(np.stack([points - low, points - high])), axis=(0, 2)) < near
+
+
+def refuse_mouths(skull: Skull, cuts) -> None:
+    """Raises XfemnavError E302 for a cut that enters where the image ends: there is no surface to open."""
+    for cut in cuts:
+        if cut.mouth and image_ends(skull, cut.path[:1])[0]:
+            x, y = cut.path[0]
+            raise XfemnavError("E302", f"cut '{cut.name}' enters at ({x:.1f}, {y:.1f}) mm, where the image ends "
+                                       "inside the organ: there is no surface to open. Give an image that holds "
+                                       "the organ where the cut enters.")
+
+
 def skull_conditions(
-    space: Space,
-    skull: Skull,
-    mouths,
-    material: Material | Tissue,
-    measured=None,
-    weight: float | None = None,
-    pulled=(),
+    space: Space, skull: Skull, mouths, material: Material | Tissue, pulled=()
 ) -> OutlineConditions:
     """Conditions, springs and contacts on the outline.
 
-    mouths (m, 2) mm: the mouths about which the skull is open. measured (k, 4 or 5): x, y, ux, uy mm and, where it
-    matters, side (+1 left, -1 right): displacements of the outline, interpolated along it. weight: None to hold them
-    exactly, else kPa / mm: springs of that stiffness, per mm of outline, pull towards them (weighted least squares).
-    pulled: numbers of the cuts that blades act on.
+    mouths (m, 2) mm: the mouths about which the skull is open, beside its own openings. pulled: numbers of the cuts
+    that blades act on.
     Raises XfemnavError E408 when the measured points lie off the outline or hold nothing, E409 for arcs that do.
     """
     n_dof = space.enrichment.n_dof
     rim = rim_points(space)
-    kinds, gaps = facet_kinds(space, skull.kind, skull.gap_mm, skull.arcs)
-    ends = skull.ends(space.parts.rim.facets.mean(axis=1))
+    kinds, gaps = facet_kinds(space, skull)
+    ends, mouths = image_ends(skull, space.parts.rim.facets.mean(axis=1)), np.array([*mouths, *skull.openings])
     kinds[ends] = "fixed"
     known, values = np.zeros(len(rim.points), dtype=bool), np.zeros(rim.points.shape)
-    if measured is not None:
-        known, values = measured_at(space, rim, np.asarray(measured, float), pulled)
+    if skull.measured is not None:
+        known, values = measured_at(space, rim, np.array(skull.measured.rows), pulled)
     depth = _Depth(space, kinds, skull.craniotomy_mm, mouths)
     rigid = ~known & (ends[rim.facet] | (depth(rim.points) >= _rigid_from(skull, rim.lengths)))
     kind = kinds[rim.facet]
@@ -136,10 +105,10 @@ def skull_conditions(
     parts += [_sliding_conditions(space, rim, sliding)] if sliding.any() else []
     springs = _springs(space, skull, depth, kinds, material, ~ends & ~_at_corners(space, known).all(axis=0))
     load = np.zeros(n_dof)
-    if measured is not None:
-        if weight is None:
+    if skull.measured is not None:
+        if skull.measured.weight is None:
             parts.insert(0, _vector_conditions(space, rim, known, values))
-        pull, load = _drawn(space, np.asarray(measured, float), weight, pulled, known, material)
+        pull, load = _drawn(space, skull.measured, pulled, known, material)
         springs = csr_array(springs + pull)
     touching = ~known & (kind == "contact") & (_distance(rim.points, mouths) >= skull.craniotomy_mm)
     touching[space.mesh.dim * len(kinds) :] = False
@@ -271,18 +240,19 @@ def _spring_matrix(space, rim, k):
     return each_component(B.T @ scaled, space.mesh.dim)
 
 
-def _drawn(space, measured, weight, pulled, known, material):
+def _drawn(space, measured: Measured, pulled, known, material):
     """Springs (n_dof, n_dof) kPa and load (n_dof,) mN of the integral of k (u - measured).v, where the motion is known.
 
     k is the weight. Without one the rim points `known` (q,) are held, and k is the penalty 1.5 M / h on facets of which
     they hold one end, or none, so that a stretch ends where it was measured and not at the next node.
     """
+    weight = measured.weight
     if weight is not None and not 0 < weight < np.inf:
         raise XfemnavError("E408", f"measured displacements have the weight {weight:g} kPa/mm; give a positive number.")
     every = np.ones(len(space.parts.rim.parts), dtype=bool)
     facets = np.flatnonzero(every if weight is not None else ~_at_corners(space, known).all(axis=0))
     rim, weights = rim_quadrature(space, facets, pieces=2 if weight is not None else 8)
-    also, values = measured_at(space, rim, measured, pulled)
+    also, values = measured_at(space, rim, np.array(measured.rows), pulled)
     refuse_nothing(also if weight is not None else np.concatenate([known, also]))
     cell = space.parts.cell[rim.parts]
     penalty = STRADDLE_PENALTY * material.p_wave_in(cell) / space.mesh.sizes[cell]

@@ -16,7 +16,6 @@ from xfemnav.mechanics.constraints import SKULL, Constraints, Means, stack, vect
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.space import Space
 
-LOOSE = ("refuse", "remove", "hold")
 #: A rigid motion is free when conditions and springs meet less than this of its square: held by so short a lever, a
 #: piece would move a hundred times as far as what holds it.
 FREE_MOTION = 1e-4
@@ -47,8 +46,6 @@ def sort_out(
     Resected parts move nowhere. Crumbs smaller than an element go (W311). Larger loose pieces: E306, or with `loose`
     'remove' they go (W312), with 'hold' they stay (W313). E406 when nothing holds the organ.
     """
-    if loose not in LOOSE:
-        raise ValueError(f"loose is {loose!r}, not one of {LOOSE}")
     table, split = space.enrichment, space.parts
     area = np.bincount(table.body, np.bincount(split.part, split.volumes, split.n_parts))
     bodies = np.unique(table.body[~split.removed])

@@ -20,18 +20,15 @@ from xfemnav.mechanics.constraints import Constraints, Contacts, Means, stack
 from xfemnav.mechanics.contact import join, lip_contacts
 from xfemnav.mechanics.elasticity import Material, Tissue
 from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
-from xfemnav.mechanics.lips import Retraction, held_span, lip_load, lip_quadrature, lip_rows
-from xfemnav.mechanics.loads import Gravity, Pressure, dead_loads
+from xfemnav.mechanics.lips import Retraction, held_spans, lip_load, lip_quadrature, lip_rows
+from xfemnav.mechanics.loads import dead_loads
 from xfemnav.mechanics.nitsche import nitsche_load, nitsche_terms
-from xfemnav.mechanics.outline import Skull, hung, skull_conditions
+from xfemnav.mechanics.outline import hung, refuse_mouths, skull_conditions
 from xfemnav.mechanics.pieces import Piece, sort_out
+from xfemnav.mechanics.rules import Loads, Rules, Skull
 from xfemnav.mechanics.slivers import warn_of_slivers, warn_of_strips
 from xfemnav.mechanics.space import Space
 
-LIPS = ("contact", "free")
-LIP_CONSTRAINTS = ("mortar", "nitsche", "pointwise")
-TIP_ENRICHMENTS = ("topological", "geometric", "none")
-MODELS = ("linear", "neo-hookean")
 #: Above this ratio linear triangles lock in plane strain: at 0.49 the energy is 7.5 to 8.3 % off (docs/sensitivity.md).
 LOCKING_POISSON = 0.48
 
@@ -60,12 +57,9 @@ class Problem:
     springs: csr_array
     load: np.ndarray
     removed: np.ndarray
-    tip_enrichment: str
-    lip_constraint: str
-    hold_tip: bool
+    rules: Rules
     contacts: Contacts | None = None
     hung: csr_array | None = None
-    model: str = "linear"
     resections: tuple[Resection, ...] = ()
     pieces: tuple[Piece, ...] = ()
     means: Means | None = None
@@ -92,7 +86,7 @@ class Problem:
         """
         load, moved = np.array(self.load), np.zeros(len(self.constraints.d))
         for group, (retraction, span) in enumerate(zip(self.retractions, self.spans)):
-            if retraction.from_loads and self.lip_constraint == "nitsche":
+            if retraction.from_loads and self.rules.lips.nitsche:
                 load += nitsche_load(self.space, self.material, retraction, span, U)
             elif retraction.from_loads:
                 own = np.flatnonzero(self.constraints.group == group)
@@ -126,38 +120,14 @@ def pose(
     material: Material | Tissue,
     skull: Skull,
     retractions: tuple[Retraction, ...] = (),
-    *,
-    boundary_displacement=None,
-    boundary_weight: float | None = None,
-    lips: str = "contact",
-    tip_enrichment: str | None = None,
-    tip_radius_mm: float | None = None,
-    lip_constraint: str = "mortar",
-    hold_tip: bool = False,
-    model: str = "linear",
-    gravity: Gravity | None = None,
-    pressures: tuple[Pressure, ...] = (),
-    craniotomies=(),
     resections: tuple[Resection, ...] = (),
-    loose: str = "refuse",
+    loads: Loads = Loads(),
+    rules: Rules = Rules(),
 ) -> Problem:
     """State the problem of Sect. 5: a cut organ in its skull, with retractors on the lips.
 
-    Parameters
-    ----------
-    mesh : the organ; cuts : inside it, from `place_cut`.
-    retractions : what holds or pulls the lips; a cut without any is legal.
-    boundary_displacement : (k, 4 or 5) x, y, ux, uy mm [, side]: measured motion of the outline; held exactly, or
-        by springs of `boundary_weight` kPa/mm.
-    lips : 'contact', lips do not pass through each other; or 'free', what nobody holds moves as if it were alone.
-    tip_enrichment : 'topological' (Eq. 4), 'geometric' (all nodes within `tip_radius_mm`) or 'none'; by default 'none'
-        with the neo-Hookean model, else 'topological'.
-    lip_constraint : 'mortar' or 'nitsche' (stable), or 'pointwise' (Eqs. 5 and 6); `hold_tip` holds the tip cell's
-        crossings too.
-    model : 'linear' elasticity, or 'neo-hookean' for finite strains.
-    gravity, pressures : dead loads. craniotomies : (m, 2) mm, further places about which the skull is open.
-    resections : tissue taken out, from `place_resection`. loose : what becomes of a piece that nothing holds: 'refuse',
-        'remove', or 'hold' it at its mean.
+    cuts, inside the organ, from `place_cut`; retractions: what holds or pulls their lips, of which a cut may have none;
+    resections: tissue taken out, from `place_resection`.
 
     Raises
     ------
@@ -167,67 +137,55 @@ def pose(
         each other, E406 nothing holds the organ, E408 measured points off the outline, E411 Nitsche's lips with the
         neo-Hookean model.
     """
-    if lip_constraint not in LIP_CONSTRAINTS:
-        raise ValueError(f"lip_constraint is {lip_constraint!r}, not one of {LIP_CONSTRAINTS}")
-    if lips not in LIPS:
-        raise ValueError(f"lips is {lips!r}, not one of {LIPS}")
-    if tip_enrichment is None:
-        tip_enrichment = "topological" if model == "linear" else "none"
-    if tip_enrichment not in TIP_ENRICHMENTS:
-        raise ValueError(f"tip_enrichment is {tip_enrichment!r}, not one of {TIP_ENRICHMENTS}")
-    if model not in MODELS:
-        raise ValueError(f"model is {model!r}, not one of {MODELS}")
-    skull.refuse_mouths(cuts)
-    if model != "linear" and lip_constraint == "nitsche":
+    refuse_mouths(skull, cuts)
+    if rules.model != "linear" and rules.lips.nitsche:
         raise XfemnavError("E411", "lips by Nitsche's condition are linear; use ⟦lip_constraint=mortar⟧ with it.")
-    if material.stress_state == "strain" and (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:
+    if not material.plane_stress and (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:
         warn(
             "W405",
             f"Poisson's ratio {poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
             "or displacement may be over 5 % off; use 0.45 to 0.48, or smaller elements.",
         )
     split, taken = embed(mesh, cuts, resections), []
-    space = Space(mesh, split, enrich(mesh, split, tip_enrichment, tip_radius_mm))
+    space = Space(mesh, split, enrich(mesh, split, rules.basis))
     _refuse_cuts_without_lips(space, cuts, resections)
     _warn_of_lost_cuts(space, cuts)
     mouths = [path[0] for path, cut in zip(split.paths, cuts) if cut.mouth and cut.craniotomy]
-    mouths = np.array([*mouths, *craniotomies]).reshape(-1, 2)
     while True:  # again without the loose pieces, until there are none
         n_dof = space.enrichment.n_dof
-        spans = _spans(space, cuts, retractions, lip_constraint, again=bool(taken))
+        spans = _spans(space, cuts, retractions, rules.lips, again=bool(taken))
         _refuse_overlap(cuts, retractions, spans)
-        outline = skull_conditions(
-            space, skull, mouths, material, boundary_displacement, boundary_weight, {r.cut for r in retractions}
-        )
+        outline = skull_conditions(space, skull, mouths, material, {r.cut for r in retractions})
         conditions, springs = [outline.constraints], outline.springs
-        dead = dead_loads(space, gravity, pressures, resections)
+        dead = dead_loads(space, loads, resections)
         load = outline.load + dead
         for group, (retraction, span) in enumerate(zip(retractions, spans)):
             if not retraction.holds:
                 load += lip_load(space, retraction, span)
-            elif lip_constraint == "nitsche":
+            elif rules.lips.nitsche:
                 terms, forces = nitsche_terms(space, material, retraction, span)
                 springs, load = csr_array(springs + terms), load + forces
             else:
-                conditions.append(lip_rows(space, retraction, span, group, lip_constraint, hold_tip))
+                conditions.append(lip_rows(space, retraction, span, group, rules.lips))
         weak = hung(space, stack(conditions, n_dof), springs, outline.weak)
         springs = springs if weak is None else csr_array(springs + weak)
         conditions = stack(conditions, n_dof)
-        constraints, means, gone, pieces = sort_out(space, cuts, resections, retractions, conditions, springs, loose)
+        constraints, means, gone, pieces = sort_out(space, cuts, resections, retractions, conditions, springs,
+                                                  rules.loose)
         if not gone.any():
             break
         taken.extend(piece for piece in pieces if piece.fate == "removed")
         split = take_out(split, gone)
-        space = Space(mesh, split, enrich(mesh, split, tip_enrichment, tip_radius_mm))
+        space = Space(mesh, split, enrich(mesh, split, rules.basis))
     contacts = [outline.contacts]
-    if lips == "contact":
+    if rules.lips.touch:
         contacts.append(lip_contacts(space, retractions, spans, split.removed))
     contacts, bare = join(contacts, n_dof), None
     if any(r.from_loads for r in retractions) and (dead.any() or outline.load.any() or outline.constraints.d.any()):
-        if boundary_displacement is not None:  # a mouth that no blade opens may be held shut
-            outline = skull_conditions(space, skull, mouths, material, boundary_displacement, boundary_weight)
+        if skull.measured is not None:  # a mouth that no blade opens may be held shut
+            outline = skull_conditions(space, skull, mouths, material)
         try:
-            bare = without_blades(space, cuts, resections, outline, dead, lips)
+            bare = without_blades(space, cuts, resections, outline, dead, rules.lips)
         except XfemnavError:  # without blades the organ has no place
             if any(r.relative_to == "loads" for r in retractions):
                 raise
@@ -247,12 +205,9 @@ def pose(
         springs,
         load,
         split.removed,
-        tip_enrichment,
-        lip_constraint,
-        hold_tip,
+        rules,
         contacts=contacts if len(contacts.gap) else None,
         hung=weak,
-        model=model,
         resections=resections,
         pieces=(*pieces, *sorted(taken, key=lambda piece: -piece.area_mm2)),
         means=means,
@@ -294,18 +249,12 @@ def _warn_of_lost_cuts(space, cuts):
             )
 
 
-def _spans(space, cuts, retractions, lip_constraint, again):
-    """Held part (r, 2) mm of each lip; for pointwise rows without a blade the whole lip, as in the paper."""
+def _spans(space, cuts, retractions, rules, again):
+    """What the blades hold (r, 2) mm; what is warned of was told already when it is worked out `again`."""
     with warnings.catch_warnings():
         if again:
             warnings.simplefilter("ignore")
-        spans = [
-            (0.0, np.inf)
-            if lip_constraint == "pointwise" and r.holds and r.blade is None
-            else held_span(space, cuts, r)
-            for r in retractions
-        ]
-    return np.array(spans).reshape(-1, 2)
+        return held_spans(space, cuts, retractions, rules)
 
 
 def _refuse_overlap(cuts, retractions, spans):

@@ -146,9 +146,9 @@ def solve(problem: Problem) -> Solution:
         contact_force=found.force,
         contact=() if touching is None else contact_forces(touching, found.force),
         min_gap_mm=None if touching is None else float((touching.G @ found.U + touching.gap).min()),
-        tips=free_tips(problem, U, found.force) if problem.model == "linear" else (),
+        tips=free_tips(problem, U, found.force) if problem.rules.model == "linear" else (),
         **_lip_error(problem, U),
-        model=problem.model,
+        model=problem.rules.model,
         load_steps=found.load_steps,
         newton_iterations=found.newton_iterations,
         linear_difference_mm=float(np.linalg.norm(triangles["moved"] - by_linear, axis=2).max()),
@@ -179,9 +179,9 @@ def _minimum(problem, elastic):
     U0, T = eliminate(constraints)
     U0, T = basis @ U0, (basis @ T).tocsc()
     linear = minimise(
-        K, problem.load, U0, T, problem.contacts, problem.means, problem.lip_constraint != "nitsche", problem.hung
+        K, problem.load, U0, T, problem.contacts, problem.means, not problem.rules.lips.nitsche, problem.hung
     )
-    if problem.model == "linear":
+    if problem.rules.model == "linear":
         tissue = elastic @ linear.U
         energy, forces = float(linear.U @ tissue / 2), (linear.force, linear.mean_force)
         found = Equilibrium(linear.U, linear.residual, tissue, energy, *forces, 1, 1)
@@ -201,7 +201,7 @@ def _minimum(problem, elastic):
 
 def scaled_basis(problem: Problem, K) -> csr_array:
     """Basis (n_dof, n) in which the problem is solved: vector tip functions if geometric, each node's block scaled."""
-    if problem.tip_enrichment == "geometric":
+    if problem.rules.basis.geometric:
         T = vector_tip_basis(problem.space, problem.material)
     else:
         T = eye_array(K.shape[0], format="csc")
@@ -217,7 +217,7 @@ def _triangles(problem, U):
     moved = _moved(problem, rest, part, U)
     H = displacement_gradient(rest, moved)
     strain = np.stack([H[:, 0, 0], H[:, 1, 1], (H[:, 0, 1] + H[:, 1, 0]) / 2], axis=1)
-    if problem.model != "linear":
+    if problem.rules.model != "linear":
         strain += np.einsum("tki,tkj->tij", H, H).reshape(-1, 4)[:, [0, 3, 1]] / 2
     det_F = (1 + H[:, 0, 0]) * (1 + H[:, 1, 1]) - H[:, 0, 1] * H[:, 1, 0]
     return {
@@ -252,7 +252,7 @@ def _forces(problem, constraints, reaction, U):
         if not retraction.holds:
             total = np.asarray(retraction.force_mN_per_mm)
             normal = (q.weights * (away @ total)).sum() / q.weights.sum()
-        elif problem.lip_constraint == "nitsche":
+        elif problem.rules.lips.nitsche:
             under = problem.under if retraction.from_loads else None
             at, traction = nitsche_traction(space, problem.material, retraction, span, U, under)
             total = at.weights @ traction
@@ -261,7 +261,7 @@ def _forces(problem, constraints, reaction, U):
             rows = problem.constraints.group == group
             unit = replace(retraction, displacement_mm=None, normal_mm=1.0)
             total = (lambdas[rows] * weights[rows]).reshape(-1, 2).sum(axis=0)
-            normal = lambdas[rows] @ lip_rows(space, unit, span, group, problem.lip_constraint, problem.hold_tip).d
+            normal = lambdas[rows] @ lip_rows(space, unit, span, group, problem.rules.lips).d
         pressure = float(normal / q.weights.sum())
         forces.append(RetractorForce(retraction.cut, retraction.side, tuple(total.tolist()), pressure))
     return tuple(forces)

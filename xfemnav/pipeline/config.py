@@ -4,29 +4,26 @@ import csv
 import io
 import math
 import os
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import decoded, file_bytes
+from xfemnav.mechanics.rules import BLADE, Arc, Basis, Gravity, LipRules, Loads, Measured, Pressure, Rules, Skull, Solid
 from xfemnav.pipeline.crosscheck import OUTLINE, actors
 from xfemnav.pipeline.flags import FLAGS, add_flags, confined, numbers, path_places, printed
 from xfemnav.pipeline.parameters import (
-    BLADE,
     KINDS,
-    ArcParams,
     CarryParams,
     CompanionParams,
     ConstrainParams,
     CutParams,
     DataEnds,
     FigureParams,
-    GravityParams,
     LabelParams,
     MeshParams,
-    PressureParams,
     ReadParams,
     ResectParams,
     RetractParams,
@@ -156,8 +153,9 @@ def scenario_problems(path: Path) -> list[str]:
 
 
 def _resolved(s: "Scenario", files: dict[str, Path], changed: dict, also_read: tuple[Path, ...]) -> Config:
-    tips = s.solve.tip_enrichment or ("topological" if s.solve.model == "linear" else "none")
-    s = s.model_copy(update={"solve": s.solve.model_copy(update={"tip_enrichment": tips})})
+    basis = taken(Basis, s.solve).suiting(s.solve.model)
+    own = {name: value for name, value in asdict(basis).items() if name in type(s.solve).model_fields}
+    s = s.model_copy(update={"solve": s.solve.model_copy(update=own)})
     settings, given = s.model_dump(mode="json", exclude={"xfemnav"}), tuple(r.blade is not None for r in s.retract)
     s = s.model_copy(update={"retract": tuple(_filled(r, s) for r in s.retract)})
     drawn = Drawn.read(s, files)
@@ -242,7 +240,7 @@ def _carried(s: "Scenario", files: dict[str, Path]):
 def _filled(r, s: "Scenario"):
     """A blade with what was left out: the only cut, and 0 to .8 of its length. Pointwise rows then hold the whole lip
     but the tip's cell, as the paper."""
-    whole = s.solve.lip_constraint == "pointwise" and r.force_mN_per_mm is None
+    whole = taken(LipRules, s.solve).pointwise and r.force_mN_per_mm is None
     cut = r.cut or s.cut[0].name
     return r.model_copy(update={"cut": cut, "blade": r.blade or (None if whole else BLADE),
                                 "name": r.name or f"{cut} {r.side}"})
@@ -302,18 +300,17 @@ def _acting(s: "Scenario", whole: ConstrainParams, acting: set[str], drawn_after
                           if r.name in acting),
         resections=tuple(replace(whole.resections[i], drawn_after=drawn_after.get(whole.resections[i].name))
                          for i in kept),
-        gravity=whole.gravity if "gravity" in acting else None,
-        pressures=tuple(replace(load, resection=None if load.resection is None else kept.index(load.resection))
-                        for load, p in zip(whole.pressures, s.load.pressure)
-                        if p.name in acting and (load.resection is None or load.resection in kept)),
+        loads=Loads(
+            whole.loads.gravity if "gravity" in acting else None,
+            tuple(replace(load, resection=None if load.resection is None else kept.index(load.resection))
+                  for load, p in zip(whole.loads.pressures, s.load.pressure)
+                  if p.name in acting and (load.resection is None or load.resection in kept))),
     )
 
 
 def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None, given: tuple[bool, ...]) -> ConstrainParams:
     names, resections = [cut.name for cut in s.cut], [item.name for item in s.resect]
-    load, boundary, tissue = s.load, s.boundary, s.tissue
-    gravity = load.gravity and GravityParams(load.gravity, load.density_kg_m3, load.fluid_density_kg_m3,
-                                             load.fluid_level_mm)
+    solid = taken(Solid, s.tissue, s.solve)
     return ConstrainParams(
         cuts=_cuts(s, drawn), later_cuts=(),
         retractions=tuple(
@@ -322,26 +319,39 @@ def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None, given:
             for r, known in zip(s.retract, given)),
         resections=tuple(ResectParams(r.name, points, space, r.labels, i if r.mask is not None else None, None)
                          for i, (r, (points, space)) in enumerate(zip(s.resect, drawn.resections))),
-        min_resection_mm=s.min_resection_mm, space=s.space, young_kpa=tissue.young_kpa, poisson=tissue.poisson,
-        labels=tuple(_label(int(label), item, tissue) for label, item in sorted(tissue.by_label.items())),
-        stress_state=s.solve.stress_state, skull=boundary.skull, skull_gap_mm=boundary.skull_gap_mm,
-        arcs=tuple(ArcParams(a.start, a.end, a.skull, a.skull_gap_mm) for a in boundary.arc),
-        craniotomy_mm=boundary.craniotomy_mm, skull_ramp_mm=boundary.skull_ramp_mm, lips=boundary.lips,
-        loose_pieces=boundary.loose_pieces, tip_enrichment=s.solve.tip_enrichment,
-        lip_constraint=s.solve.lip_constraint, hold_tip=s.solve.hold_tip, model=s.solve.model,
-        boundary_displacement=None if measured is None else read_displacements(measured),
-        displacement_weight=boundary.displacement_weight, gravity=gravity,
-        pressures=tuple(PressureParams(None if p.on == OUTLINE else resections.index(p.on), p.kpa)
-                        for p in load.pressure),
+        min_resection_mm=s.min_resection_mm, space=s.space, solid=solid,
+        labels=tuple(_label(int(label), item, solid) for label, item in sorted(s.tissue.by_label.items())),
+        skull=_skull(s.boundary, measured), loads=_loads(s.load, resections),
+        rules=Rules(taken(Basis, s.solve), taken(LipRules, s.boundary, s.solve), s.solve.model,
+                    s.boundary.loose_pieces),
     )
 
 
-def _label(label: int, item, tissue) -> LabelParams:
-    """Constants of a label's tissue: its own, else its kind's."""
+def taken(kind, *sections):
+    """A value of the mechanics, of the keys that sections call as it calls its fields."""
+    return kind(**{field.name: getattr(section, field.name) for field in fields(kind) for section in sections
+                   if hasattr(section, field.name)})
+
+
+def _skull(boundary, measured: Path | None) -> Skull:
+    motion = measured and Measured(read_displacements(measured), boundary.displacement_weight)
+    arcs = tuple(Arc(arc.start, arc.end, arc.skull, arc.skull_gap_mm) for arc in boundary.arc)
+    return Skull(boundary.skull, boundary.craniotomy_mm, boundary.skull_ramp_mm, boundary.skull_gap_mm, arcs,
+                 measured=motion)
+
+
+def _loads(load, resections: list[str]) -> Loads:
+    gravity = load.gravity and Gravity(load.gravity, load.density_kg_m3, load.fluid_density_kg_m3, load.fluid_level_mm)
+    return Loads(gravity, tuple(Pressure(p.kpa, None if p.on == OUTLINE else resections.index(p.on))
+                                for p in load.pressure))
+
+
+def _label(label: int, item, rest: Solid) -> LabelParams:
+    """Constants of a label's tissue: its own, else its kind's, which may be those of the rest."""
     times, poisson = KINDS[item.kind]
-    young = item.young_kpa if item.young_kpa is not None else times * tissue.young_kpa
+    young = item.young_kpa if item.young_kpa is not None else times * rest.young_kpa
     own = item.poisson if item.poisson is not None else poisson
-    return LabelParams(label, young, tissue.poisson if own is None else own)
+    return LabelParams(label, replace(rest, young_kpa=young, poisson=rest.poisson if own is None else own))
 
 
 def read_displacements(path: Path) -> tuple[tuple[float, ...], ...]:

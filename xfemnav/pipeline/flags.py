@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypedDict
 
 from xfemnav.errors import XfemnavError
+from xfemnav.mechanics.rules import BLADE
 from xfemnav.naming import Names, literal
 from xfemnav.naming import flag as option
-from xfemnav.pipeline.parameters import BLADE
 
 AnyPath = str | os.PathLike[str]
 Drawn = AnyPath | Collection[Any]

@@ -5,8 +5,8 @@ A stage's key holds exactly its dataclass, so a parameter stands in the stage th
 
 from dataclasses import dataclass
 
-#: The part of a cut that a blade holds unless it is said: a lip held right up to the tip has infinite energy.
-BLADE = (0.0, 0.8)
+from xfemnav.mechanics.rules import Loads, Rules, Skull, Solid
+
 #: Kind of a label's tissue: Young's modulus over the parenchyma's, and Poisson's ratio (None: the parenchyma's).
 KINDS = {"parenchyma": (1.0, None), "tumour": (3.0, None), "ventricle": (1 / 30, 0.1), "cavity": (1e-6, 0.0)}
 
@@ -59,39 +59,10 @@ class ResectParams:
 
 @dataclass(frozen=True)
 class LabelParams:
-    """The constants of a label's tissue."""
+    """The tissue of a label."""
 
     label: int
-    young_kpa: float
-    poisson: float
-
-
-@dataclass(frozen=True)
-class ArcParams:
-    """A part of the outline with a skull of its own."""
-
-    start: tuple[float, float]
-    end: tuple[float, float]
-    skull: str
-    skull_gap_mm: float
-
-
-@dataclass(frozen=True)
-class GravityParams:
-    """The weight of the tissue, less what fluid carries."""
-
-    direction: tuple[float, float]
-    density_kg_m3: float
-    fluid_density_kg_m3: float
-    fluid_level_mm: float | None
-
-
-@dataclass(frozen=True)
-class PressureParams:
-    """A pressure on the wall of the resection with this index; None: on the outline."""
-
-    resection: int | None
-    kpa: float
+    solid: Solid
 
 
 @dataclass(frozen=True)
@@ -137,7 +108,8 @@ class RetractParams:
 class ConstrainParams:
     """Cuts, blades, resections, material, loads, and what holds the outline: the whole boundary value problem.
 
-    The mouths of `later_cuts`, which act from a later step on, open the skull already.
+    Its values are the mechanics' own; points and measured motions among them are in `space`, and pressures count these
+    resections. The mouths of `later_cuts`, which act from a later step on, open the skull already.
     """
 
     cuts: tuple[CutParams, ...]
@@ -146,25 +118,11 @@ class ConstrainParams:
     resections: tuple[ResectParams, ...]
     min_resection_mm: float
     space: str
-    young_kpa: float
-    poisson: float
+    solid: Solid
     labels: tuple[LabelParams, ...]
-    stress_state: str
-    skull: str
-    skull_gap_mm: float
-    arcs: tuple[ArcParams, ...]
-    craniotomy_mm: float
-    skull_ramp_mm: float
-    lips: str
-    loose_pieces: str
-    tip_enrichment: str
-    lip_constraint: str
-    hold_tip: bool
-    model: str
-    boundary_displacement: tuple[tuple[float, ...], ...] | None
-    displacement_weight: float | None
-    gravity: GravityParams | None
-    pressures: tuple[PressureParams, ...]
+    skull: Skull
+    loads: Loads
+    rules: Rules
 
 
 @dataclass(frozen=True)

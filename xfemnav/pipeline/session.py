@@ -4,17 +4,19 @@ It is for whoever holds a tracked instrument: each of its poses moves the cut or
 image and forces. The answers are those of a run with the same cut and lips, to rounding.
 """
 
+from dataclasses import replace
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from xfemnav.errors import XfemnavError, warn
+from xfemnav.mechanics.rules import BLADE
 from xfemnav.pipeline.config import configure
 from xfemnav.pipeline.flags import AnyPath, Drawn, Flags, numbers
 from xfemnav.pipeline.kernels import settle_kernel_cache, spare_the_run
-from xfemnav.pipeline.parameters import BLADE
 from xfemnav.pipeline.result import SIDES, Side, side_number
 from xfemnav.pipeline.signatures import own_names, takes_flags
 
@@ -27,8 +29,8 @@ if TYPE_CHECKING:
 NAME = "cut"
 INTERP, OUTSIDE = ("linear", "cubic", "nearest"), ("keep", "zero")
 #: What a session cannot do, by the name of the setting, and the value that it must have.
-ONLY = {"resections": (), "skull_gap_mm": 0.0, "arcs": (), "boundary_displacement": None, "gravity": None,
-        "pressures": (), "model": "linear", "loose_pieces": "refuse"}
+ONLY = {"resections": (), "skull.gap_mm": 0.0, "skull.arcs": (), "skull.measured": None, "loads.gravity": None,
+        "loads.pressures": (), "rules.model": "linear", "rules.loose": "refuse"}
 
 
 class Session:
@@ -189,7 +191,7 @@ class Session:
         from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
         from xfemnav.mechanics.live_motion import Soup
 
-        placed, how = self._placed(self._plane(path)), self._settings.tip_enrichment
+        placed, how = self._placed(self._plane(path)), self._settings.rules.basis
         try:
             try:
                 incision = incise(self._organ, (placed,), how)
@@ -218,7 +220,7 @@ class Session:
             raise XfemnavError("E405", f"left and right look swapped: the lips are pushed {-opening:.1f} mm into each "
                                        "other; left is left when walking from the mouth to the tip.")
         answer, pressing = modes.free(amounts), None
-        if self._settings.lips == "contact":
+        if self._settings.rules.lips.touch:
             pressing = modes.pressing(amounts)
         if pressing is not None:
             answer += pressing
@@ -240,20 +242,18 @@ class Session:
         if key not in self._modes:
             held = tuple(Retraction(0, side, normal_mm=1.0, blade=blade or BLADE, blade_given=blade is not None)
                          for side in sides)
-            settings = self._settings
-            self._modes[key] = lip_modes(self._incision, held, settings.lip_constraint, settings.hold_tip)
+            self._modes[key] = lip_modes(self._incision, held, self._settings.rules.lips)
         return self._modes[key]
 
     def _condense(self, plan) -> None:
         """Condense the organ about a planned cut, uncut and at rest."""
         from xfemnav.mechanics.condensation import condense, tip_reach
         from xfemnav.mechanics.live_motion import LiveMotion, Soup
-        from xfemnav.mechanics.outline import Skull
 
         settings, mouths = self._settings, plan.path[:1] if plan.mouth and plan.craniotomy else ()
-        skull = Skull(settings.skull, settings.craniotomy_mm, settings.skull_ramp_mm, border=self._border)
+        skull = replace(settings.skull, border=self._border)
         tips, radius = plan.path[-1:] if plan.mouth else plan.path[[0, -1]], 0.0
-        if settings.tip_enrichment == "geometric":
+        if settings.rules.basis.geometric:
             radius = tip_reach(self.mesh, plan)
         self._organ = condense(self.mesh, self._material, skull, plan.path, reach_mm=self.reach_mm, mouths=mouths,
                                tips=tips, tip_radius_mm=radius)
@@ -319,9 +319,10 @@ def _refuse(config) -> None:
     params = config.constrain
     if not params.cuts:
         raise XfemnavError("E780", "a session needs to know where cuts are planned: give a corridor.")
-    found = [name.replace("_", " ") for name, value in ONLY.items() if getattr(params, name) != value]
-    found += [f"skull {params.skull!r}"] if params.skull not in ("fixed", "sliding") else []
-    found += [f"lip constraint {params.lip_constraint!r}"] if params.lip_constraint == "nitsche" else []
+    found = [name.replace(".", " ").replace("_", " ") for name, value in ONLY.items()
+             if attrgetter(name)(params) != value]
+    found += [f"skull {params.skull.kind!r}"] if params.skull.kind not in ("fixed", "sliding") else []
+    found += ["lip constraint 'nitsche'"] if params.rules.lips.nitsche else []
     found += ["points in LPS or voxels"] if params.space != "ras" else []
     found += ["several cuts or steps"] if len(params.cuts) > 1 or len(config.steps) > 1 else []
     found += ["retractions: say them to Session.open"] if params.retractions else []

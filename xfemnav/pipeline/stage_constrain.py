@@ -1,6 +1,7 @@
 """The stage constrain: mesh, cuts, blades, resections, tissues and loads become a boundary value problem."""
 
 import math
+from dataclasses import replace
 
 
 def _placed(cuts, paths, outline, others=()):
@@ -14,9 +15,8 @@ def _placed(cuts, paths, outline, others=()):
 
 def compute(params, inputs):
     """The cuts embedded in the mesh, and the conditions on lips and outline: a Problem."""
-    from xfemnav.mechanics.loads import Gravity, Pressure
-    from xfemnav.mechanics.outline import Arc
-    from xfemnav.mechanics.problem import Retraction, Skull, pose
+    from xfemnav.mechanics.lips import Retraction
+    from xfemnav.mechanics.problem import pose
 
     slice, segmentation = inputs.value("segment")
     mesh = inputs.value("mesh")
@@ -26,23 +26,13 @@ def compute(params, inputs):
                               force_mN_per_mm=r.force_mN_per_mm, blade=r.blade, blade_given=r.blade_given,
                               relative_to=r.relative_to)
                    for r in params.retractions)
-    arcs = tuple(Arc(*_plane(slice, (arc.start, arc.end), params.space), arc.skull, arc.skull_gap_mm)
-                 for arc in params.arcs)
     taken = _taken_out(params, mesh, cuts, inputs)
     number = {k: i for i, k in enumerate(taken)} | {None: None}
-    return pose(
-        mesh, cuts, tissue(params, mesh, inputs),
-        Skull(params.skull, params.craniotomy_mm, params.skull_ramp_mm, params.skull_gap_mm, arcs,
-              slice.border(segmentation.mask)), blades,
-        resections=tuple(taken.values()),
-        loose=params.loose_pieces, lips=params.lips, boundary_displacement=_measured(slice, params),
-        boundary_weight=params.displacement_weight, tip_enrichment=params.tip_enrichment,
-        lip_constraint=params.lip_constraint, hold_tip=params.hold_tip, model=params.model,
-        gravity=params.gravity and Gravity(params.gravity.direction, params.gravity.density_kg_m3,
-                                           params.gravity.fluid_density_kg_m3, params.gravity.fluid_level_mm),
-        pressures=tuple(Pressure(load.kpa, number[load.resection]) for load in params.pressures),
-        craniotomies=_later_mouths(params, slice, outline),
-    )
+    loads = replace(params.loads, pressures=tuple(replace(load, resection=number[load.resection])
+                                                  for load in params.loads.pressures))
+    skull = replace(_in_plane(params.skull, slice, params.space), border=slice.border(segmentation.mask),
+                    openings=_later_mouths(params, slice, outline))
+    return pose(mesh, cuts, tissue(params, mesh, inputs), skull, blades, tuple(taken.values()), loads, params.rules)
 
 
 def _drawn_path(item, inputs):
@@ -112,7 +102,7 @@ def _taken_out(params, mesh, cuts, inputs):
     held = [substring(shapely.LineString(cuts[r.cut].path), *(r.blade or (0.0, 1.0)), normalized=True)
             for r in params.retractions]
     placed = dict(zip(placed, without_shreds(tuple(placed.values()), outline, Elements.of(mesh), least_mm2=least,
-                                             hold=params.loose_pieces == "hold", held=held)))
+                                             hold=params.rules.loose == "hold", held=held)))
     region, organ = shapely.union_all([item.region for item in placed.values()]), shapely.Polygon(outline)
     refuse_all(region, organ, " and ".join(f"resection '{item.name}'" for item in placed.values()))
     for k in found:
@@ -146,7 +136,7 @@ def _placed_regions(params, found, outline, inputs):
         placed |= zip(group, place_united(own, united, outline, [items[k].name for k in group],
                                           [found[k].name for k in group], smooth))
     placed = {k: placed[k] for k in sorted(placed) if placed[k]}
-    needed = [load.resection for load in params.pressures if load.resection is not None]
+    needed = [load.resection for load in params.loads.pressures if load.resection is not None]
     for k in found:
         if k not in placed and (k in needed or not placed):
             raise XfemnavError("E311", f"resection '{items[k].name}' takes nothing: {found[k].area_mm2:.3g} mm2 of "
@@ -180,7 +170,7 @@ def tissue(params, mesh, inputs):
     from xfemnav.imaging.labels import label_shares
     from xfemnav.mechanics.elasticity import Material, mixed
 
-    rest = Material(params.young_kpa, params.poisson, params.stress_state)
+    rest = Material.of(params.solid)
     if not params.labels:
         return rest
     slice, _ = inputs.value("segment")
@@ -189,18 +179,22 @@ def tissue(params, mesh, inputs):
         if not share.any():
             warn("W314", f"label {item.label} of {inputs.files['labels'].name} is nowhere in the organ on this slice, "
                          "so no tissue has its constants.")
-    materials = (rest, *(Material(item.young_kpa, item.poisson, params.stress_state) for item in params.labels))
+    materials = (rest, *(Material.of(item.solid) for item in params.labels))
     return mixed(materials, np.column_stack([1 - shares.sum(axis=1), shares]))
 
 
-def _measured(slice, params):
-    """Rows x, y, ux, uy[, side] (plane mm) of the measured boundary: points and vectors are read as cuts are."""
+def _in_plane(skull, slice, space):
+    """A skull whose arcs and measured motion are plane mm: points and vectors are read as cuts are."""
     import numpy as np
 
-    if params.boundary_displacement is None:
-        return None
-    rows = np.array(params.boundary_displacement)
-    return np.hstack([_plane(slice, rows[:, :2], params.space), _plane(slice, rows[:, 2:4], params.space), rows[:, 4:]])
+    arcs = tuple(replace(arc, start=start, end=end) for arc in skull.arcs
+                 for start, end in [_plane(slice, (arc.start, arc.end), space).tolist()])
+    motion = skull.measured
+    if motion is not None:
+        rows = np.array(motion.rows)
+        motion = replace(motion, rows=np.hstack([_plane(slice, rows[:, :2], space), _plane(slice, rows[:, 2:4], space),
+                                                 rows[:, 4:]]))
+    return replace(skull, arcs=arcs, measured=motion)
 
 
 def facts(value, inputs):

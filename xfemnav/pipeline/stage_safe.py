@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.pipeline.parameters import BLADE
+from xfemnav.mechanics.rules import BLADE
 
 #: Parts that are tried first, downwards: more than one of them may be safe, with others between that are not.
 TRIED = (0.75, 0.5, 0.25)
