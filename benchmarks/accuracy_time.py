@@ -56,7 +56,7 @@ FAR_MM = 5.0  # problem p: displacements are compared this far from the cut, and
 
 def plate(mesh, enrichment):
     """Problem a, solved for a cut in a mesh that is there: space and coefficients."""
-    cut = place_cut([[-0.1 * WIDTH, LENGTH / 2], [CRACK, LENGTH / 2]], mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut([[-0.1 * WIDTH, LENGTH / 2], [CRACK, LENGTH / 2]], mesh.outline)
     space = cut_space(mesh, (cut,), enrichment, cases.ENRICHED * CRACK)
     top, bottom = (rim(space, lambda x, y=y: np.abs(x[:, 1] - y) < 1e-9) for y in (LENGTH, 0.0))
     load = traction_load(space, top, (0, 1)) + traction_load(space, bottom, (0, -1))
@@ -89,7 +89,7 @@ def plate_error(found) -> float:
 
 def singularity(mesh, enrichment):
     """Problem d for a cut in a mesh that is there."""
-    cut = place_cut([[-1.2, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut([[-1.2, 0.0], [0.0, 0.0]], mesh.outline)
     space = cut_space(mesh, (cut,), enrichment, 0.5)
     everywhere = rim(space, lambda x: np.ones(len(x), bool))
     exact = given_on_rim(space, everywhere, lambda x, i: fields.williams(x, cases.STEEL, 1.0, 0.5, i[:, 1] > 0))

@@ -55,7 +55,7 @@ def moves(n: int) -> list[tuple]:
 
 def solved(mesh, path, move):
     """The batch's answer."""
-    cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut(path, mesh.outline)
     blades = tuple(Retraction(0, side, tuple(d), blade=(0.0, HELD)) for side, d in zip((1, -1), move))
     return solve(pose(mesh, (cut,), Material(), Skull(), blades))
 
@@ -176,7 +176,7 @@ def main() -> None:
         session = Session(given["image"], mask=given["mask"], corridor=phantom.cut_path(),
                           element_size_mm=args.element_size_mm, corridor_element_mm=FINE)
         made = perf_counter() - start
-    outline = session.mesh.points[session.mesh.boundary_loops[0]]
+    outline = session.mesh.outline
     drawn, lips = paths(args.rounds * args.moves), moves(args.rounds * args.moves)
     for path, (left, right) in list(zip(drawn, lips))[:2]:  # kernels are compiled
         session.cut(path)

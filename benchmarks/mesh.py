@@ -53,7 +53,7 @@ def gmsh_frontal(nodes, h) -> Mesh:
 
 def hausdorff(outline, mesh) -> float:
     """Hausdorff distance, mm, between the outline and the mesh's boundary."""
-    rings = [shapely.LinearRing(loop) for loop in (outline, mesh.points[mesh.boundary_loops[0]])]
+    rings = [shapely.LinearRing(loop) for loop in (outline, mesh.outline)]
     return shapely.hausdorff_distance(*(shapely.segmentize(ring, 0.2) for ring in rings))
 
 

@@ -70,7 +70,7 @@ def warm(image: Path, mask: Path) -> float:
     for _ in range(REPEATS + 1):  # the first one loads kernels
         start = process_time()
         mesh = distmesh(outline_of(organ > 0, origin, spacing), SizeField(3.0, 1.0, 12.0, (path,)))
-        cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
+        cut = place_cut(path, mesh.outline)
         blades = tuple(Retraction(0, side, normal_mm=3.0, blade=(0.0, 0.8)) for side in (1, -1))
         solution = solve(pose(mesh, (cut,), Material(), Skull(), blades))
         grid = origin, spacing, values.shape

@@ -54,7 +54,7 @@ def disc(radius=70.0, h=7.0) -> Mesh:
 
 def outline(mesh) -> np.ndarray:
     """The mesh's boundary loop (n, 2) mm."""
-    return mesh.points[mesh.boundary_loops[0]]
+    return mesh.outline
 
 
 def cut_in(mesh, *path, **kind) -> Cut:

@@ -76,7 +76,7 @@ def test_nodes_of_the_boundary_lie_on_the_outline_and_come_first():
     away = shapely.distance(shapely.LinearRing(outline), shapely.points(mesh.points[loop]))
     assert_allclose(away, 0, atol=1e-9)
     # A chord of length h on an arc of radius R strays h^2 / 8 R: the tightest radius here is about 10 mm.
-    rings = shapely.LinearRing(outline), shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
+    rings = shapely.LinearRing(outline), shapely.LinearRing(mesh.outline)
     assert shapely.hausdorff_distance(*(shapely.segmentize(ring, 0.1) for ring in rings)) < 3**2 / 80 + 0.05
 
 
@@ -154,7 +154,7 @@ def test_narrow_fjord_is_not_bridged(width):
     outline = shapely.get_coordinates(shapely.Polygon(disc()).difference(fjord).exterior)[:-1]
     mesh = distmesh(outline, 3.0)
     assert_disc(mesh)
-    assert shapely.Polygon(mesh.points[mesh.boundary_loops[0]]).is_valid
+    assert shapely.Polygon(mesh.outline).is_valid
     assert_allclose(mesh.volumes.sum(), shapely.Polygon(outline).area, rtol=0.02)
 
 
@@ -164,7 +164,7 @@ def test_round_finger_is_followed_to_its_end():
         finger = shapely.LineString([[0, 0], [length, 0]]).buffer(1.65, 32)
         outline = shapely.get_coordinates(shapely.Polygon(disc(30)).union(finger).exterior)[:-1]
         mesh = distmesh(outline, 3.0)
-        rings = shapely.LinearRing(outline), shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
+        rings = shapely.LinearRing(outline), shapely.LinearRing(mesh.outline)
         assert shapely.hausdorff_distance(*(shapely.segmentize(ring, 0.1) for ring in rings)) < 0.25 * 3.0
         assert_disc(mesh)
 
@@ -177,7 +177,7 @@ def test_shores_of_a_slit_never_cross(width):
         slit = shapely.LineString(np.stack([x, 4 * np.sin(x / bend)], axis=1)).buffer(width / 2)
         outline = shapely.get_coordinates(shapely.Polygon(disc(40, 90)).difference(slit).exterior)[:-1]
         mesh = distmesh(outline, 5.0)
-        assert shapely.Polygon(mesh.points[mesh.boundary_loops[0]]).is_valid
+        assert shapely.Polygon(mesh.outline).is_valid
         assert_disc(mesh)
 
 

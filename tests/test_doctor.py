@@ -106,7 +106,7 @@ def test_a_frame_read_with_a_wrong_sign_is_found(tmp_path, monkeypatch, module, 
 
 def test_directions_are_told_apart(tmp_path, monkeypatch):
     """A forward field in the place of the backward one."""
-    monkeypatch.setattr(roundtrip, "backward", lambda frame, organ, rest, moved: transform.forward(frame, rest, moved))
+    monkeypatch.setattr(roundtrip, "backward", lambda frame, organ, motion: transform.forward(frame, motion))
     assert set(bad(findings(tmp_path))) == {"transforms", "fields"}
 
 

@@ -33,7 +33,7 @@ def crack(tip_enrichment, h=0.05, stress_state="strain"):
     mu = material.shear_modulus
     field = Williams(tuple(TIP), (1.0, 0.0), K_I=1 / mu, K_II=0.5 / mu, nu=0.3, stress_state=stress_state)
     mesh = distmesh(rectangle(2, 2), h)
-    cut = place_cut([[-1.5, TIP[1]], TIP], mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut([[-1.5, TIP[1]], TIP], mesh.outline)
     points = along_outline(1.0)
     side = np.where(points[:, 1] > TIP[1], 1, -1)
     measured = np.column_stack([points, field.displacement(points, side), side])
@@ -69,7 +69,7 @@ def test_the_run_reports_free_tips():
 def test_a_kinked_cut_gives_the_same_intensity_on_every_disc():
     """To .2 % of the element's error; without the integral over the lips behind the kink, K_II is a tenth off."""
     mesh = distmesh(rectangle(2, 2), 0.05)
-    cut = place_cut([[-1.1, -0.68], [-0.12, 0.2], [0.03, -0.03]], mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut([[-1.1, -0.68], [-0.12, 0.2], [0.03, -0.03]], mesh.outline)
     points = along_outline(1.0)
     pulled = np.column_stack([points, 0.003 * points[:, 1], 0.01 * points[:, 1]])[np.abs(points[:, 1]) == 1]
     problem = posed(
@@ -83,7 +83,7 @@ def test_a_kinked_cut_gives_the_same_intensity_on_every_disc():
 def test_no_intensity_is_given_in_tissue_that_weighs():
     """The integral leaves out forces inside of its disc."""
     mesh = distmesh(rectangle(2, 2), 0.1)
-    cut = place_cut([[-1.1, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut([[-1.1, 0.0], [0.0, 0.0]], mesh.outline)
     for gravity, tips in ((None, 1), (Gravity((0.0, -1.0)), 0)):
         problem = posed(mesh, (cut,), Material(1.0, 0.3), Skull("fixed", 0.5, 0.1), gravity=gravity)
         assert len(solve(problem).tips) == tips
@@ -92,7 +92,7 @@ def test_no_intensity_is_given_in_tissue_that_weighs():
 def test_the_disc_keeps_off_what_weighs():
     """Tissue above the waterline weighs, below it floats without weight."""
     mesh = distmesh(rectangle(2, 2), 0.05)
-    cut = place_cut([[-1.1, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut([[-1.1, 0.0], [0.0, 0.0]], mesh.outline)
     gravity = Gravity((0.0, -1.0), 1000.0, 1000.0, fluid_level_mm=-0.5)
     held = Skull("fixed", 0.5, 0.1)
     (tip,) = solve(posed(mesh, (cut,), Material(1.0, 0.3), held, gravity=gravity)).tips

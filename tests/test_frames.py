@@ -17,7 +17,7 @@ from tests.images import ORDERS, image_of, stored
 from tests.motions import turned
 from tests.test_dicom import write_series
 from tests.test_formats import write as write_volume
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.landmarks import moved_points
 from xfemnav.imaging.point_files import PointSet, read_points, write_points
 from xfemnav.imaging.reading import read_image
@@ -31,7 +31,7 @@ GRIDS = {"isotropic": (Grid((152, 178), (1.1, 1.1)), 1.1, 0.0),
 FORMATS = ["v.nii", "v.nrrd", "v.mgz"]
 MIDDLE = 12.5  # mm of the phantom's slice along the plane's normal; one slice above and one below show something else
 REST, MOVED = perfect_solution(Phantom(), 360, 30)
-MOTION = PiecewiseAffineMap(REST, MOVED, (cut_path(),))
+MOTION = Motion(REST, MOVED, (cut_path(),))
 
 
 @lru_cache

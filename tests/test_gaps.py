@@ -6,11 +6,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.ndimage import binary_dilation
 
 from tests.motions import GRID, MOVED, REST
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.gaps import NOWHERE, bridged, extended
 from xfemnav.imaging.warp import covered, pull_back
 
-TISSUE = PiecewiseAffineMap(REST, MOVED)
+TISSUE = Motion(REST, MOVED)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_the_bridge_ends_at_the_lips(edge):
     """From lip to lip the field falls by the gap, wherever in a pixel they are, so that all of it rested on the cut."""
     rest, moved = strips(edge, stretch=1.3)
     pulled = pull_back(rest, moved, np.zeros(2), np.ones(2), (20, 20))
-    field = bridged(pulled, ~pulled.tissue, PiecewiseAffineMap(rest, moved))
+    field = bridged(pulled, ~pulled.tissue, Motion(rest, moved))
     n = np.flatnonzero(~pulled.tissue[7])
     assert_allclose(n + field[7, n, 1], edge, atol=2**-11)    # the halvings of the search
     # between the last pixel of tissue and the first of the gap: t (1 - t) pixels at most, t being where the lip is

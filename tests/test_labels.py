@@ -38,7 +38,7 @@ def test_shares_are_those_of_the_area(half_plane):
         assert abs(share - exact) <= 0.15  # 36 parts; a side crosses at most 6 of them by halves
     assert_allclose(shares @ [1, 1] <= 1, True)
     total = shares.T @ MESH.volumes
-    whole = shapely.Polygon(MESH.points[MESH.boundary_loops[0]])
+    whole = shapely.Polygon(MESH.outline)
     assert total[0] == pytest.approx(whole.intersection(shapely.box(line, -99, 99, 99)).area, rel=0.01)
 
 

@@ -6,21 +6,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from data_synthetic.phantom import MOUTH, OPEN, TIP, TRAVEL, Phantom, landmarks, outline, perfect_solution
 from tests.images import affine_of, image_of
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.landmarks import moved_points, resting_points
 from xfemnav.imaging.slices import take_slice
 
 PHANTOM = Phantom()
 REST, MOVED = perfect_solution(PHANTOM)
 CUT = np.array([MOUTH, TIP])
-MOTION = PiecewiseAffineMap(REST, MOVED, (CUT,))
+MOTION = Motion(REST, MOVED, (CUT,))
 TURN = np.array([[0.96, -0.28, 0.0], [0.224, 0.768, -0.6], [0.168, 0.576, 0.8]])    # an oblique axial slice
 FRAME = take_slice(image_of(np.zeros((8, 8, 4)), affine_of(TURN * 2.0)), index=1)
 NOW = outline(720)[np.r_[0:720, 0]]
 NOW = NOW + OPEN.displacement(NOW, np.r_[-1, np.where((NOW[1:-1] - TIP) @ [-TRAVEL[1], TRAVEL[0]] >= 0, 1, -1), 1])
 # Resected: the triangles within 6 mm of (-30, -20).
 GONE = np.linalg.norm(REST.mean(axis=1) - [-30, -20], axis=1) < 6
-RESECTED = PiecewiseAffineMap(REST[~GONE], MOVED[~GONE], (CUT,))
+RESECTED = Motion(REST[~GONE], MOVED[~GONE], (CUT,))
 
 
 def test_landmarks_move_with_the_tissue_and_back():
@@ -61,7 +61,7 @@ def test_a_point_on_a_cut_has_two_values():
 
 
 def test_where_the_lips_share_a_value_it_is_the_point_s():
-    closed = PiecewiseAffineMap(REST, REST, (CUT,))
+    closed = Motion(REST, REST, (CUT,))
     found = moved_points([MOUTH + 9 * TRAVEL], FRAME, closed, REST)
     assert found.flag == ("on a cut",)
     assert_allclose(found.moved, found.points, atol=1e-9)
@@ -70,7 +70,7 @@ def test_where_the_lips_share_a_value_it_is_the_point_s():
 def test_of_a_lip_that_was_resected_the_other_is_left():
     side = np.sign((REST.mean(axis=1) - TIP) @ [-TRAVEL[1], TRAVEL[0]])
     right_lip = (side < 0) & (np.linalg.norm(REST.mean(axis=1) - MOUTH, axis=1) < 15)
-    motion = PiecewiseAffineMap(REST[~right_lip], MOVED[~right_lip], (CUT,))
+    motion = Motion(REST[~right_lip], MOVED[~right_lip], (CUT,))
     point = [MOUTH + 7 * TRAVEL]
     found = moved_points(point, FRAME, motion, REST)
     assert found.flag == ("on a cut",) and np.isnan(found.lips[0, 1]).all()

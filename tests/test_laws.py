@@ -18,6 +18,7 @@ from xfemnav.mechanics.elasticity import Material, Tissue, hooke, plain_blocks, 
 from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.loads import KPA_PER_MM, dead_loads, pressure_load, weight_load
 from xfemnav.mechanics.minimise import minimise
+from xfemnav.mechanics.nitsche import _tractions
 from xfemnav.mechanics.outline import skull_conditions
 from xfemnav.mechanics.pieces import free_motions, rigid_motions, sort_out
 from xfemnav.mechanics.quadrature import gauss_in_simplex, simplex_rule
@@ -162,6 +163,19 @@ def test_the_skull_holds_the_outline(kind, d):
     normal = (u * rim.normals).sum(axis=1)
     assert_allclose(normal[flat], 0, atol=1e-11)
     assert flat.any() and np.abs(u[flat]).max() < 1e-12 if kind == "fixed" else np.abs(u[flat]).max() > 0.1
+
+
+@both
+def test_tractions_on_a_lip_are_those_of_the_stress(d):
+    """Of a field that strains and turns, in the parts on both sides of a cut."""
+    space = space_of(d, *network(d, "through")[0])
+    rng, lips = np.random.default_rng(d), space.parts.lips
+    G, m = rng.normal(size=(d, d)), area_vectors(lips.facets)
+    at = SimpleNamespace(points=lips.facets.mean(axis=1), parts=lips.parts[:, 1])
+    mu, lam = BRAIN.moduli_in(space.parts.cell[at.parts])
+    U = (space.mesh.points[space.enrichment.node] @ G.T).ravel()
+    found = _tractions(space, at, m, mu, lam) @ U
+    assert_allclose(found.reshape(-1, d), m @ hooke(G, mu[0], lam[0]), atol=1e-11)
 
 
 @both

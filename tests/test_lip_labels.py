@@ -7,7 +7,7 @@ from scipy.ndimage import binary_dilation, label
 
 from data_synthetic.phantom import cut_path, side_of
 from tests.motions import GRID, MOVED, REST
-from tests.test_affine_map import PATH, parted, triangles
+from tests.test_motion import PATH, parted, triangles
 from xfemnav.imaging.lip_labels import LEFT, RIGHT, lip_labels
 from xfemnav.imaging.warp import covered, pull_back
 

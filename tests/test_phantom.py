@@ -34,8 +34,8 @@ from data_synthetic.phantom import (
     perfect_solution,
     side_of,
 )
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.mesh import orient
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.warp import covered, pull_back, update
 
 
@@ -222,7 +222,7 @@ def test_warped_labels_overlap_as_well_as_the_exact_maps(phantom, warped):
 
 
 def test_landmarks_are_carried_to_their_true_places(phantom, solution):
-    motion = PiecewiseAffineMap(*solution, cuts=(np.array([MOUTH, TIP]),))
+    motion = Motion(*solution, cuts=(np.array([MOUTH, TIP]),))
     rest = landmarks()
     assert len(rest) == 20 and np.isin(phantom.labels_at(rest), BRAIN).all()
     assert np.abs(local(rest)[local(rest)[:, 0] < 0, 1]).min() > 2

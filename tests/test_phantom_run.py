@@ -189,7 +189,7 @@ def test_energy_error_falls_with_the_root_of_the_element():
     error = []
     for h in (8.0, 4.0, 2.0):
         mesh = distmesh(outline(), h)
-        cut = place_cut(cut_path(), mesh.points[mesh.boundary_loops[0]])
+        cut = place_cut(cut_path(), mesh.outline)
         material = Material(3.0, POISSON)
         problem = posed(mesh, (cut,), material, Skull(), boundary_displacement=boundary_displacement(phantom))
         split, U = problem.parts, solve(problem).U.ravel()

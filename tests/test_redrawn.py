@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from tests.meshes import disc
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 from xfemnav.geometry.redrawn import path_at_rest, ring_at_rest
 
 MESH = disc(40.0, 4.0)
@@ -17,7 +17,7 @@ SHIFT = np.array([3.0, -2.0])
 
 def turned():
     """The disc turned and shifted as one piece."""
-    return PiecewiseAffineMap(MESH.corners, MESH.corners @ TURN.T + SHIFT)
+    return Motion(MESH.corners, MESH.corners @ TURN.T + SHIFT)
 
 
 def opened(width=6.0):
@@ -25,7 +25,7 @@ def opened(width=6.0):
     middle = MESH.corners.mean(axis=1)[:, 0]
     keep = MESH.corners[np.abs(MESH.corners[:, :, 0]).max(axis=1) < 1e9]
     side = np.where(middle > 0, 1.0, -1.0)
-    return PiecewiseAffineMap(keep, keep + np.stack([side * width / 2, 0 * side], axis=1)[:, None])
+    return Motion(keep, keep + np.stack([side * width / 2, 0 * side], axis=1)[:, None])
 
 
 def test_a_rigid_motion_is_undone_outside_of_the_organ_too():
@@ -39,7 +39,7 @@ def test_a_rigid_motion_is_undone_outside_of_the_organ_too():
 
 def test_a_line_in_a_bent_slice_is_followed():
     bend = MESH.corners + np.stack([0 * MESH.corners[..., 1], 0.01 * MESH.corners[..., 0] ** 2], axis=-1)
-    back = path_at_rest(np.array([[-30.0, 0.0], [30.0, 0.0]]), PiecewiseAffineMap(MESH.corners, bend), "cut")
+    back = path_at_rest(np.array([[-30.0, 0.0], [30.0, 0.0]]), Motion(MESH.corners, bend), "cut")
     # y = 0 now was y = -.01 x^2 at rest, to the mesh's chords: h^2 / 8 times .02
     assert np.abs(back[:, 1] + 0.01 * back[:, 0] ** 2).max() < 4.0**2 / 8 * 0.02 + 0.02
 
@@ -63,8 +63,8 @@ def test_what_touches_no_tissue_is_refused():
 
 def test_a_ring_over_the_surface_takes_the_surface():
     """Outside of the organ it goes with the tissue beside it, so that no rind stays."""
-    still = PiecewiseAffineMap(MESH.corners, MESH.corners)
-    organ = shapely.Polygon(MESH.points[MESH.boundary_loops[0]])
+    still = Motion(MESH.corners, MESH.corners)
+    organ = shapely.Polygon(MESH.outline)
     ring = np.array([[20.0, -8.0], [60.0, -8.0], [60.0, 8.0], [20.0, 8.0]])
     taken = shapely.Polygon(ring_at_rest(ring, still, "corridor")).intersection(organ)
     assert taken.area == pytest.approx(shapely.Polygon(ring).intersection(organ).area, rel=1e-6)

@@ -17,7 +17,6 @@ import xfemnav
 from data_synthetic import domains
 from tests.meshes import posed
 from xfemnav import Session, XfemnavError
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.imaging.warp import covered, pull_back, update
@@ -47,7 +46,7 @@ def session(head):
 
 def solved(session, path, moves, blade=(0.0, 0.8)):
     """The batch's answer on the session's mesh; moves {side: (dx, dy) or mm}."""
-    cut = place_cut(path, session.mesh.points[session.mesh.boundary_loops[0]])
+    cut = place_cut(path, session.mesh.outline)
     blades = tuple(Retraction(0, side, blade=blade, **({"normal_mm": move} if np.isscalar(move) else
                                                        {"displacement_mm": move})) for side, move in moves.items())
     return solve(posed(session.mesh, (cut,), Material(), Skull(), blades)), cut
@@ -56,7 +55,7 @@ def solved(session, path, moves, blade=(0.0, 0.8)):
 def assert_answers(session, path, moves, blade=(0.0, 0.8)):
     whole, cut = solved(session, path, moves, blade)
     assert_allclose(session.nodes, whole.U[: len(session.mesh.points)], atol=SAME_MM)
-    motion = PiecewiseAffineMap(whole.rest, whole.moved, (cut.path,))
+    motion = whole.motion
     points = np.random.default_rng(0).uniform((-50, -60), (50, 60), (400, 2))
     assert_allclose(session.to_current(points), motion.to_current(points), atol=SAME_MM)
     on_the_cut = np.array([cut.at(t) for t in np.linspace(0.02, 0.98, 40)])
@@ -215,7 +214,7 @@ def test_tip_functions_reach_the_skull_across_the_organ():
     with pytest.warns(xfemnav.XfemnavWarning, match="W315"):
         session.cut(path)
     session.open(left=3.0, right=3.0)
-    cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut(path, mesh.outline)
     blades = tuple(Retraction(0, side, normal_mm=3.0, blade=(0.0, 0.8)) for side in (1, -1))
     whole = solve(posed(mesh, (cut,), Material(), Skull(), blades, tip_enrichment="geometric"))
     assert_allclose(session.nodes, whole.U[: len(mesh.points)], atol=SAME_MM)
@@ -254,7 +253,7 @@ def test_tip_functions_within_a_radius_of_any_cut(flags, tmp_path):
     session = Session(mesh, scenario=scenario, tip_enrichment="geometric")
     session.cut(path)
     session.open(left=1.0, right=1.0, blade=(0.4, 0.6))
-    cut = place_cut(path, mesh.points[mesh.boundary_loops[0]], **flags)
+    cut = place_cut(path, mesh.outline, **flags)
     blades = tuple(Retraction(0, side, normal_mm=1.0, blade=(0.4, 0.6)) for side in (1, -1))
     whole = solve(posed(mesh, (cut,), Material(), Skull(), blades, tip_enrichment="geometric"))
     assert_allclose(session.nodes, whole.U[: len(mesh.points)], atol=SAME_MM)

@@ -168,7 +168,8 @@ def test_what_is_drawn_in_the_current_slice_goes_back_to_rest(run, home):
     redrawn = planned.replace("[[-60, 10], [-22, 6]]", f"[{text}]").replace(step, f'{step}\nframe = "current"')
     same = run(redrawn, "--no-report", output="redrawn")
     path = np.array(same["cuts"][0]["path"])
-    assert np.abs(path[-1] - after_shift(same, "redrawn").to_preoperative(now[-1])).max() < 1e-6
+    # As it is snapped to the mesh: by up to a thousandth of an element.
+    assert np.abs(path[-1] - after_shift(same, "redrawn").to_preoperative(now[-1])).max() < 1e-3
     # The skull is open about the mouth as it is drawn, which moves the tissue of the first step a little too.
     assert np.linalg.norm(path[-1] - drawn[-1]) < 0.1 < np.linalg.norm(now[-1] - drawn[-1])
 

@@ -8,15 +8,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from data_synthetic.phantom import MOUTH, OPEN, TIP, TRAVEL, Phantom, perfect_solution, side_of
 from tests.images import affine_of, image_of
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.locate import LIP
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.slices import take_slice
 from xfemnav.imaging.streamlines import move_streamlines
 
 PHANTOM = Phantom()
 REST, MOVED = perfect_solution(PHANTOM, rays=180, rings=40)
 CUT = np.array([MOUTH, TIP])
-MOTION = PiecewiseAffineMap(REST, MOVED, (CUT,))
+MOTION = Motion(REST, MOVED, (CUT,))
 TURN = np.array([[0.96, -0.28, 0.0], [0.224, 0.768, -0.6], [0.168, 0.576, 0.8]])    # an oblique axial slice
 FRAME = take_slice(image_of(np.zeros((8, 8, 4)), affine_of(TURN * 4.0)), index=1)    # 4 mm thick
 LEFT = np.array([-TRAVEL[1], TRAVEL[0]])    # of the cut
@@ -88,7 +88,7 @@ def test_beyond_the_tip_there_is_no_lip():
 
 
 def test_what_ran_through_resected_tissue_is_gone():
-    motion = PiecewiseAffineMap(REST[~GONE], REST[~GONE])
+    motion = Motion(REST[~GONE], REST[~GONE])
     hole = shapely.union_all(shapely.polygons(REST[GONE]))
     a, b = np.array([-55.0, -22]), np.array([10.0, -16])
     left = shapely.LineString([a, b]).difference(hole)
@@ -142,7 +142,7 @@ def test_nothing_is_lost_and_nothing_made(seed):
     walks = [np.cumsum(rng.normal(size=(n, 3)) * rng.choice([0.3, 3, 15]) * [1, 1, 0.1], axis=0)
              + rng.uniform(-40, 40, 3) * [1, 1, 0.1] for n in rng.integers(2, 60, 60)]
     walks = [FRAME.to_world(walk[:, :2] + [20, 20]) + walk[:, 2:] * FRAME.axes[2] for walk in walks]
-    still = move_streamlines(tracts(*walks), FRAME, PiecewiseAffineMap(REST[~GONE], REST[~GONE], (CUT,)), REST)
+    still = move_streamlines(tracts(*walks), FRAME, Motion(REST[~GONE], REST[~GONE], (CUT,)), REST)
     assert set(still.flag) == {"kept", "moved", "split", "trimmed"}
     hole = shapely.union_all(shapely.polygons(REST[GONE])).buffer(1e-3)
     for source, walk in enumerate(walks):
@@ -154,7 +154,7 @@ def test_nothing_is_lost_and_nothing_made(seed):
             assert total == pytest.approx(length, abs=FLOAT32 * len(walk), rel=FLOAT32)
             assert_allclose([pieces[0][0], pieces[-1][-1]], walk[[0, -1]], atol=FLOAT32)
 
-    motion = PiecewiseAffineMap(REST[~GONE], MOVED[~GONE], (CUT,))
+    motion = Motion(REST[~GONE], MOVED[~GONE], (CUT,))
     moved = move_streamlines(tracts(*walks), FRAME, motion, REST)
     assert moved.flag == still.flag
     for flag, here, there in zip(moved.flag, still.file.streamlines, moved.file.streamlines):

@@ -159,7 +159,7 @@ def test_the_rim_is_the_outline(position):
 @given(positions)
 def test_tips_are_ends_inside_the_organ_and_off_other_cuts(position):
     mesh, _, split = place(position)
-    organ = shapely.Polygon(mesh.points[mesh.boundary_loops[0]])
+    organ = shapely.Polygon(mesh.outline)
     expected = 0
     for k, path in enumerate(split.paths):
         others = [shapely.LineString(p) for j, p in enumerate(split.paths) if j != k]

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from data_synthetic.phantom import MOUTH, TIP, TRAVEL, Phantom, perfect_solution
 from tests.images import affine_of, image_of
 from xfemnav.errors import XfemnavWarning
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.landmarks import moved_points
 from xfemnav.imaging.slices import take_slice
 from xfemnav.imaging.surface_files import Surface
@@ -16,7 +16,7 @@ from xfemnav.imaging.surfaces import move_surface
 
 REST, MOVED = perfect_solution(Phantom(), rays=180, rings=40)
 CUT = np.array([MOUTH, TIP])
-MOTION = PiecewiseAffineMap(REST, MOVED, (CUT,))
+MOTION = Motion(REST, MOVED, (CUT,))
 TURN = np.array([[0.96, -0.28, 0.0], [0.224, 0.768, -0.6], [0.168, 0.576, 0.8]])    # an oblique axial slice
 FRAME = take_slice(image_of(np.zeros((8, 8, 4)), affine_of(TURN * 4.0)), index=1)    # 4 mm thick
 LEFT = np.array([-TRAVEL[1], TRAVEL[0]])    # of the cut
@@ -74,13 +74,13 @@ def test_faces_across_a_cut_are_left_out_and_no_others():
         np.arange(len(faces)), 3))), shapely.LineString(CUT))
     assert_array_equal(~moved.kept, across)
     assert moved.left_out["on a cut"] == across.sum() > 20
-    assert stretch(moved) < 1.5 < stretch(move_surface(surface(points, faces), FRAME, PiecewiseAffineMap(
+    assert stretch(moved) < 1.5 < stretch(move_surface(surface(points, faces), FRAME, Motion(
         REST, MOVED), REST))    # of a motion that does not tell of its cut
 
 
 def test_a_face_larger_than_the_whole_cut_is_across_it():
     inner = np.array([TIP - 12 * TRAVEL, TIP - 4 * TRAVEL])
-    motion = PiecewiseAffineMap(REST, MOVED, (inner,))
+    motion = Motion(REST, MOVED, (inner,))
     around = world([TIP - 20 * TRAVEL, TIP + 12 * LEFT, TIP + 8 * TRAVEL, TIP - 12 * LEFT])
     moved = move_surface(surface(around, [[0, 1, 2, 3], [1, 2, 3]]), FRAME, motion, REST)
     assert_array_equal(moved.kept, [False, True])
@@ -108,7 +108,7 @@ def test_of_faces_on_both_sides_of_a_cut_the_fewer_are_left_out():
 
 def test_what_was_resected_is_left_out_and_its_points_stay():
     points, faces = sphere([-30.0, -20], 12.0)
-    motion = PiecewiseAffineMap(REST[~GONE], MOVED[~GONE], (CUT,))
+    motion = Motion(REST[~GONE], MOVED[~GONE], (CUT,))
     moved = move_surface(surface(points, faces), FRAME, motion, REST)
     hole = shapely.union_all(shapely.polygons(REST[GONE]))
     corners = FRAME.from_world(points)[0][faces].reshape(-1, 2)
@@ -123,8 +123,8 @@ def test_what_was_resected_is_left_out_and_its_points_stay():
 
 
 def test_what_is_outside_stays_and_is_parted_only_where_the_outline_moves():
-    still = PiecewiseAffineMap(REST, REST)
-    away = PiecewiseAffineMap(REST, REST + np.array([3.0, 0]))
+    still = Motion(REST, REST)
+    away = Motion(REST, REST + np.array([3.0, 0]))
     edge = REST.reshape(-1, 2)
     edge = edge[np.linalg.norm(edge, axis=1).argmax()]
     out = edge / np.linalg.norm(edge)

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.motions import GRID, MIXED, MOVED, REST, SCENES, THICKNESS, landing, slice_in
 from tests.test_transform import EXACT, FIELDS, MOTION, carried
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.transform import forward
 from xfemnav.imaging.vectors import field_nifti, vector_nifti, write_nrrd
 
@@ -49,7 +50,7 @@ def test_points_half_a_slice_off_the_plane_are_carried(ending, tmp_path):
 
 def test_slicers_words_are_in_the_header(tmp_path):
     """A field of old points is "modeling": 3D Slicer takes it for the way from old to new and not the other."""
-    slice, field = slice_in("sagittal", 25, MIXED), forward(slice_in(), REST, MOVED)
+    slice, field = slice_in("sagittal", 25, MIXED), forward(slice_in(), Motion(REST, MOVED))
     write_nrrd(tmp_path / "f.nrrd", slice, field, "modeling")
     header = (tmp_path / "f.nrrd").read_bytes().split(b"\n\n")[0].decode().splitlines()
     assert "space: left-posterior-superior" in header and "kinds: vector domain domain domain" in header

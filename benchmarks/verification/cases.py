@@ -93,7 +93,7 @@ def inclined(n: int, enrichment: str, angle_deg: float = 30.0) -> Outcome:
 def williams(n: int, enrichment: str) -> Outcome:
     """Problem d: the exact singular field, K_I = 1 and K_II = .5, given on the outline of [-1, 1]^2."""
     mesh = uniform_mesh(rectangle(-1, -1, 1, 1), n)
-    cut = place_cut([[-1.2, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut([[-1.2, 0.0], [0.0, 0.0]], mesh.outline)
     space = cut_space(mesh, (cut,), enrichment, 0.5)
     exact = given_on_rim(
         space, rim(space, _everywhere), lambda x, inside: fields.williams(x, STEEL, 1.0, 0.5, inside[:, 1] > 0)
@@ -207,7 +207,7 @@ def _pulled(space, w):
 def _edge_cracked(n, width, length, crack, enrichment):
     mesh = uniform_mesh(rectangle(0, 0, width, length), n)
     path = [[-0.1 * width, length / 2], [crack, length / 2]]
-    cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut(path, mesh.outline)
     return cut, cut_space(mesh, (cut,), enrichment, ENRICHED * crack)
 
 

@@ -95,7 +95,7 @@ def pushes():
     """
     mesh = distmesh(domains.disc(), SizeField(3.0, 1.0, 12.0, (np.array([(0.0, 70.0), (0.0, 30.0)]),)))
     for name, path in PUSHED.items():
-        cut = place_cut(path, mesh.points[mesh.boundary_loops[0]])
+        cut = place_cut(path, mesh.outline)
         for held in (0.8, 0.5):
             blade = (Retraction(0, 1, displacement_mm=(-3.0, 0.0), blade=(0.0, held)),)
             row = {"cut": name, "held": held, "nodes": len(mesh.points)}

@@ -75,7 +75,7 @@ def graded(network: Network, n: int) -> Mesh:
 
 def posed(network: Network, mesh: Mesh, enrichment: str) -> Problem:
     """The case on a mesh, in kPa."""
-    boundary, material = mesh.points[mesh.boundary_loops[0]], Material(BRAIN.young / 1000, BRAIN.poisson)
+    boundary, material = mesh.outline, Material(BRAIN.young / 1000, BRAIN.poisson)
     lips = tuple(Retraction(0, side, displacement_mm=tuple(side * LIFT), blade=(0.0, HELD)) for side in (1, -1))
     resections = (place_resection([network.removed], boundary),) if network.removed else ()
     skull = Skull("fixed", FREE, 0.0)

@@ -31,7 +31,7 @@ def placements():
 def _errors(mesh, tip, enrichment):
     """The mesh is moved so that the tip is the origin, where the exact field has its own."""
     mesh = Mesh(mesh.points - tip, mesh.cells)
-    cut = place_cut([[-1.5, 0.0], [0.0, 0.0]], mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut([[-1.5, 0.0], [0.0, 0.0]], mesh.outline)
     space = cut_space(mesh, (cut,), enrichment, 0.4)
     exact = given_on_rim(
         space,

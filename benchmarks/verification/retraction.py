@@ -71,7 +71,7 @@ def _data_ends(held):
 def drawn(mesh: Mesh, held: float, path=PATH, lift=LIFT) -> tuple[Cut, tuple[Retraction, ...]]:
     """The cut in a mesh, and what holds its lips."""
     beyond = np.vstack([path[0] - 0.1 * (path[-1] - path[0]), path[1:]])
-    cut = place_cut(beyond, mesh.points[mesh.boundary_loops[0]])
+    cut = place_cut(beyond, mesh.outline)
     lift = np.asarray(lift, float)
     return cut, tuple(Retraction(0, side, displacement_mm=tuple(side * lift), blade=(0.0, held)) for side in (1, -1))
 

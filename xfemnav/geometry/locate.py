@@ -35,6 +35,11 @@ def bucket(triangles) -> Buckets:
     return Buckets(corner, width, shape, *_fill(first, last, shape))
 
 
+def held(points, triangles) -> np.ndarray:
+    """Whether points (n, 2) mm lie in triangles (t, 3, 2) mm, (n,) bool."""
+    return locate(np.array(points, float, ndmin=2), triangles, bucket(triangles)) >= 0
+
+
 @njit(cache=True)
 def _fill(first, last, shape):
     start = np.zeros(shape[0] * shape[1] + 1, np.int64)

@@ -127,6 +127,11 @@ class Mesh:
             loops.append(np.array(loop))
         return sorted(loops, key=len, reverse=True)
 
+    @property
+    def outline(self) -> np.ndarray:
+        """In the plane: the outline (k, 2) mm, the longest of `boundary_loops`."""
+        return self.points[self.boundary_loops[0]]
+
     @cached_property
     def sizes(self) -> np.ndarray:
         """Edge length (m,) mm of the regular simplex with each cell's volume: the local element size h."""

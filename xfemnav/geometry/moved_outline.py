@@ -3,19 +3,20 @@
 import numpy as np
 import shapely
 
+from xfemnav.geometry.motion import Motion
+
 ON_LOOP = 1e-5  # mm from the outline up to which a side of a triangle lies on it: files round corners to 1e-6 mm
 SIDES = [[0, 1], [1, 2], [2, 0]]
 
 
-def moved_outline(loop, rest, moved) -> np.ndarray:
+def moved_outline(loop, motion: Motion) -> np.ndarray:
     """The outline now, a closed loop (k, 2) mm, of the organ whose resting one is `loop` (n, 2) mm, counter-clockwise.
 
-    Triangles at `rest` and `moved`, both (t, 3, 2) mm, tile what is left of it, each turning left at rest. Straight
-    lines bridge mouths. Where tissue was taken out at the surface the resting outline goes on, moved as its two ends
-    are, linearly between.
+    The triangles of its `motion` tile what is left of it, each turning left at rest. Straight lines bridge mouths.
+    Where tissue was taken out at the surface the resting outline goes on, moved as its two ends are, linearly between.
     """
     ring = shapely.LinearRing(loop)
-    facets, now, arc = _facets(ring, rest, moved)
+    facets, now, arc = _facets(ring, motion.rest, motion.moved)
     if not len(facets):
         return np.array(loop, float)
     half = np.linalg.norm(facets[:, 1] - facets[:, 0], axis=1) / 2

@@ -4,13 +4,13 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 
 STEP_MM = 1.0  # a straight line is bent by the motion: it is followed in steps of this length
 SIMPLE_MM = 0.01  # points that lie on the line to within this are left out again
 
 
-def path_at_rest(path, motion: PiecewiseAffineMap, name: str) -> np.ndarray:
+def path_at_rest(path, motion: Motion, name: str) -> np.ndarray:
     """Resting place (k, 2) mm of a cut's path (n, 2) mm drawn in the slice as it is now.
 
     Its ends may lie outside the organ: they go with the tissue next to them on the path. Raises E313 where it crosses
@@ -27,7 +27,7 @@ def path_at_rest(path, motion: PiecewiseAffineMap, name: str) -> np.ndarray:
     return _simple(resting)
 
 
-def ring_at_rest(ring, motion: PiecewiseAffineMap, name: str) -> np.ndarray:
+def ring_at_rest(ring, motion: Motion, name: str) -> np.ndarray:
     """Resting place (k, 2) mm of a closed outline (n, 2) mm drawn in the slice as it is now.
 
     Where it runs through an opened cut or outside the organ, it goes with the tissue on either side of that place along

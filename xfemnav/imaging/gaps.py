@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.masks import touched
 from xfemnav.imaging.warp import PullBack
 
@@ -19,7 +19,7 @@ NEIGHBOURS = ((0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 
 HALVINGS = 12    # of a pixel, to find a lip: to 1/4096, which also bounds a link's weight
 
 
-def bridged(motion: PullBack, empty, tissue: PiecewiseAffineMap | None = None) -> np.ndarray:
+def bridged(motion: PullBack, empty, tissue: Motion | None = None) -> np.ndarray:
     """The field (n1, n2, 2) mm of `motion` with a harmonic bridge over the pixels `empty` (n1, n2) bool.
 
     Between two near lips that is linear from one to the other. The tissue keeps its field, and takes the pixels next to

@@ -9,9 +9,9 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import warn
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
-from xfemnav.geometry.locate import LIP, TOUCH
+from xfemnav.geometry.locate import LIP, TOUCH, held
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.points import PointSet, frame_suspicion
 from xfemnav.imaging.slices import Slice
 
@@ -38,7 +38,7 @@ class MovedPoints:
             object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
 
 
-def moved_points(points, frame: Slice, motion: PiecewiseAffineMap, organ, side=None) -> MovedPoints:
+def moved_points(points, frame: Slice, motion: Motion, organ, side=None) -> MovedPoints:
     """Where preoperative `points` are now.
 
     `organ` (t, 3, 2) mm: triangles of the whole organ at rest, also of what was resected. `side`: the lip for points
@@ -52,12 +52,12 @@ def moved_points(points, frame: Slice, motion: PiecewiseAffineMap, organ, side=N
     lips[near] = np.stack([motion.to_current(plane[near], s) for s in (1, -1)], axis=1)
     on_cut = np.isfinite(lips[..., 0]).any(axis=1)
     moved[on_cut] = _chosen(lips[on_cut], side[on_cut])
-    tissue, there = np.isfinite(moved[:, 0]), PiecewiseAffineMap(organ, organ).holds(plane)
+    tissue, there = np.isfinite(moved[:, 0]), held(plane, organ)
     flag = np.select([on_cut & (tissue | (side == 0)), tissue, there], [ON_A_CUT, TISSUE, RESECTED], OUTSIDE)
     return _result(points, frame, moved, lips, distance, flag)
 
 
-def resting_points(points, frame: Slice, motion: PiecewiseAffineMap, outline) -> MovedPoints:
+def resting_points(points, frame: Slice, motion: Motion, outline) -> MovedPoints:
     """Where the tissue that is now at `points` was preoperatively.
 
     `outline` (k, 2) mm: the organ's outline now, a closed loop with its mouths bridged. Where tissue overlaps, the

@@ -20,7 +20,7 @@ from xfemnav.imaging.points import PointSet
 from xfemnav.imaging.reading import read_image
 from xfemnav.imaging.roundtrip_directions import check_tensors, check_vectors
 from xfemnav.imaging.roundtrip_surfaces import check_surfaces
-from xfemnav.imaging.scenes import itk_image, scene_motion, scene_slice, scene_triangles
+from xfemnav.imaging.scenes import itk_image, scene_motion, scene_slice
 from xfemnav.imaging.slices import take_slice, to_nifti
 from xfemnav.imaging.streamlines import move_streamlines
 from xfemnav.imaging.tract_files import read_streamlines, tract_bytes
@@ -88,9 +88,9 @@ def _images(folder: Path, name: str, write, tolerance=EXACT, orders=tuple(ORDERS
         path = folder / f"{label.replace(' ', '-')}-{name}"
         write(path, *scene.volume(order, flips))
         frame = take_slice(read_image(path), plane="axial", position_mm=scene.position_mm)
-        rest, moved = scene_triangles(scene, frame)
+        motion = scene_motion(scene, frame)
         grid = frame.origin, frame.spacing, frame.values.shape
-        made = update(frame.values, *grid[:2], covered(rest, *grid), pull_back(rest, moved, *grid))
+        made = update(frame.values, *grid[:2], covered(motion.rest, *grid), pull_back(motion.rest, motion.moved, *grid))
         nibabel.save(to_nifti(frame, made.updated), folder / "updated.nii.gz")
         found = nibabel.load(folder / "updated.nii.gz")
         voxels = np.moveaxis(np.indices(found.shape), 0, -1)
@@ -130,32 +130,32 @@ def _write_dicom(path, values, affine) -> None:
 
 def check_transform(folder: Path) -> None:
     """ITK's transform takes places of now to where their tissue rested, and the other one back."""
-    frame, rest, moved, inner = _slice_and_motion()
-    write_transform(folder / "t.h5", frame, backward(frame, rest, rest, moved))
+    frame, motion, inner = _slice_and_motion()
+    write_transform(folder / "t.h5", frame, backward(frame, motion.rest, motion))
     _maps("t.h5", sitk.ReadTransform(str(folder / "t.h5")), OBLIQUE.now(inner), inner)
-    write_transform(folder / "f.h5", frame, forward(frame, rest, moved))
+    write_transform(folder / "f.h5", frame, forward(frame, motion))
     _maps("forward .h5", sitk.ReadTransform(str(folder / "f.h5")), inner, OBLIQUE.now(inner))
 
 
 def check_field_nrrd(folder: Path) -> None:
-    frame, rest, moved, inner = _slice_and_motion()
-    write_nrrd(folder / "f.nrrd", frame, backward(frame, rest, rest, moved), "resampling")
+    frame, motion, inner = _slice_and_motion()
+    write_nrrd(folder / "f.nrrd", frame, backward(frame, motion.rest, motion), "resampling")
     _maps("resampling .nrrd", _read_field(folder / "f.nrrd"), OBLIQUE.now(inner), inner)
-    write_nrrd(folder / "m.nrrd", frame, forward(frame, rest, moved), "modeling")
+    write_nrrd(folder / "m.nrrd", frame, forward(frame, motion), "modeling")
     _maps("modeling .nrrd", _read_field(folder / "m.nrrd"), inner, OBLIQUE.now(inner))
 
 
 def check_field_nifti(folder: Path) -> None:
-    frame, rest, moved, inner = _slice_and_motion()
-    nibabel.save(field_nifti(frame, backward(frame, rest, rest, moved)), folder / "f.nii.gz")
+    frame, motion, inner = _slice_and_motion()
+    nibabel.save(field_nifti(frame, backward(frame, motion.rest, motion)), folder / "f.nii.gz")
     _maps("field .nii.gz", _read_field(folder / "f.nii.gz"), OBLIQUE.now(inner), inner)
 
 
 def _slice_and_motion():
-    """A slice with room for the motion, the triangles at rest and now, and places at rest well within the halves."""
+    """A slice with room for the scene's motion, that, and places at rest well within the halves."""
     frame = scene_slice(OBLIQUE)
-    rest, moved = scene_triangles(OBLIQUE, frame)
-    return roomy(frame, np.concatenate([rest, moved])), rest, moved, OBLIQUE.inner()
+    motion = scene_motion(OBLIQUE, frame)
+    return roomy(frame, np.concatenate([motion.rest, motion.moved])), motion, OBLIQUE.inner()
 
 
 def _read_field(path) -> sitk.Transform:
@@ -211,14 +211,13 @@ def check_points(folder: Path) -> None:
 
 
 def check_landmarks(folder: Path) -> None:
-    frame, rest, moved, inner = _slice_and_motion()
-    motion = scene_motion(OBLIQUE, frame, rest, moved)
+    frame, motion, inner = _slice_and_motion()
     there, off = OBLIQUE.world(inner), 2.0 * OBLIQUE.turn[:, 2]
-    found = moved_points(there + off, frame, motion, rest)
+    found = moved_points(there + off, frame, motion, motion.rest)
     agree("the moved landmarks", found.moved, OBLIQUE.world(OBLIQUE.now(inner)) + off, 1e-9)
     back = resting_points(found.moved, frame, motion, frame.from_world(OBLIQUE.world(2 * HALF * AROUND))[0])
     agree("the landmarks brought back", back.moved, there + off, 1e-9)
-    lips = moved_points(OBLIQUE.world([[0.0, 3.0]]), frame, motion, rest).lips[0]
+    lips = moved_points(OBLIQUE.world([[0.0, 3.0]]), frame, motion, motion.rest).lips[0]
     wanted = OBLIQUE.world(np.concatenate([OBLIQUE.now([[side * 1e-12, 3.0]]) for side in (-1, 1)]))
     agree("the left and right lip of a landmark on the cut", lips, wanted, 1e-6)
 
@@ -230,14 +229,13 @@ def check_streamlines(folder: Path) -> None:
               "voxel_order": "RAS"}
     tracts = nibabel.streamlines.Tractogram([STRAIGHT.world(ends)], affine_to_rasmm=np.eye(4))
     frame = scene_slice(STRAIGHT)
-    rest, moved = scene_triangles(STRAIGHT, frame)
-    motion = scene_motion(STRAIGHT, frame, rest, moved)
+    motion = scene_motion(STRAIGHT, frame)
     for suffix in ("trk", "trk.gz", "tck"):
         kind = nibabel.streamlines.TckFile if suffix == "tck" else nibabel.streamlines.TrkFile
         kind(tracts, header=None if suffix == "tck" else header).save(written := io.BytesIO())
         content = written.getvalue()
         (folder / f"in.{suffix}").write_bytes(gzip.compress(content) if suffix.endswith("gz") else content)
-        found = move_streamlines(read_streamlines(folder / f"in.{suffix}"), frame, motion, rest)
+        found = move_streamlines(read_streamlines(folder / f"in.{suffix}"), frame, motion, motion.rest)
         (folder / f"out.{suffix}").write_bytes(tract_bytes(found.file, suffix))
         line = nibabel.streamlines.load(folder / f"out.{suffix}").streamlines
         if len(line) != 1:

@@ -15,7 +15,7 @@ from xfemnav.imaging.kinds import read_companion
 from xfemnav.imaging.known import OBLIQUE, ORDERS, SHAPE, F, Scene, agree
 from xfemnav.imaging.lean import nibabel
 from xfemnav.imaging.reading import Image
-from xfemnav.imaging.scenes import itk_image, scene_triangles
+from xfemnav.imaging.scenes import itk_image, scene_motion
 from xfemnav.imaging.slices import Slice, take_slice
 from xfemnav.imaging.warp import covered, pull_back, update
 
@@ -93,9 +93,9 @@ def _directed():
         values, affine = scene.volume(order, flips)
         image = Image(values, affine, "float64", 2, "", "scene")
         frame = take_slice(image, plane="axial", position_mm=scene.position_mm)
-        rest, moved = scene_triangles(scene, frame)
+        motion = scene_motion(scene, frame)
         grid = frame.origin, frame.spacing, frame.values.shape
-        made = update(frame.values, *grid[:2], covered(rest, *grid), pull_back(rest, moved, *grid))
+        made = update(frame.values, *grid[:2], covered(motion.rest, *grid), pull_back(motion.rest, motion.moved, *grid))
         yield scene, affine, frame, made
 
 

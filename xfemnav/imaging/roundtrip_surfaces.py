@@ -12,7 +12,7 @@ import numpy as np
 
 from xfemnav.imaging.content import silenced
 from xfemnav.imaging.known import FROM_CUT, HALF, OBLIQUE, Mismatch, agree
-from xfemnav.imaging.scenes import scene_motion, scene_slice, scene_triangles
+from xfemnav.imaging.scenes import scene_motion, scene_slice
 from xfemnav.imaging.surface_files import read_surface
 from xfemnav.imaging.surfaces import move_surface
 
@@ -29,13 +29,13 @@ def check_surfaces(folder: Path) -> None:
     faces = np.array([[0, 1, 4], [1, 5, 4], [2, 3, 6], [3, 7, 6], [1, 2, 5]])
     off = 2.0 * OBLIQUE.turn[:, 2]
     frame = scene_slice(OBLIQUE)
-    tissue = tuple(scene_triangles(OBLIQUE, frame))
+    motion = scene_motion(OBLIQUE, frame)
     rest, now = OBLIQUE.world(plane) + off, OBLIQUE.world(OBLIQUE.now(plane)) + off
     for name, (write, read, space) in FILES.items():
         write(folder / name, rest, faces)
         surface = read_surface(folder / name, space=space)
         agree(f"the points of {name}", _sorted(surface.points), _sorted(rest), TOLERANCE)
-        moved = move_surface(surface, frame, scene_motion(OBLIQUE, frame, *tissue), tissue[0])
+        moved = move_surface(surface, frame, motion, motion.rest)
         if moved.left_out != {"on a cut": 1, "resected": 0, "at the outline": 0}:
             raise Mismatch(f"of {name} faces are left out: {moved.left_out}")
         (folder / f"out-{name}").write_bytes(moved.content)

@@ -3,15 +3,10 @@
 import numpy as np
 import SimpleITK as sitk
 
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.known import CUT, Scene
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import Slice, take_slice
-
-
-def scene_triangles(scene: Scene, frame: Slice):
-    """The triangles of the scene at rest and now in plane coordinates of a slice, both (4, 3, 2) mm."""
-    return (frame.from_world(scene.world(corners))[0] for corners in (scene.rest, scene.moved))
 
 
 def scene_slice(scene: Scene) -> Slice:
@@ -20,9 +15,10 @@ def scene_slice(scene: Scene) -> Slice:
     return take_slice(Image(values, affine, "float64", 2, "", "scene"), plane="axial", position_mm=scene.position_mm)
 
 
-def scene_motion(scene: Scene, frame: Slice, rest, moved) -> PiecewiseAffineMap:
-    """The motion of the triangles, two-valued on the scene's cut."""
-    return PiecewiseAffineMap(rest, moved, (frame.from_world(scene.world(CUT))[0],))
+def scene_motion(scene: Scene, frame: Slice) -> Motion:
+    """The motion of the scene's triangles in plane coordinates of a slice, two-valued on its cut."""
+    rest, moved, cut = (frame.from_world(scene.world(points))[0] for points in (scene.rest, scene.moved, CUT))
+    return Motion(rest, moved, (cut,))
 
 
 def itk_image(values, affine) -> sitk.Image:

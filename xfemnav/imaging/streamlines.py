@@ -11,8 +11,8 @@ import numpy as np
 import shapely
 from nibabel.streamlines.tractogram_file import TractogramFile
 
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
-from xfemnav.geometry.locate import LIP
+from xfemnav.geometry.locate import LIP, held
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.slices import Slice
 from xfemnav.imaging.tract_files import file_like
 
@@ -40,7 +40,7 @@ class MovedStreamlines:
 
 
 
-def move_streamlines(file: TractogramFile, frame: Slice, motion: PiecewiseAffineMap, organ, *,
+def move_streamlines(file: TractogramFile, frame: Slice, motion: Motion, organ, *,
                      half_mm: float | None = None, elsewhere: str = "keep") -> MovedStreamlines:
     """The streamlines of `file` after the `motion` of the tissue in the slice `frame`.
 
@@ -54,7 +54,7 @@ def move_streamlines(file: TractogramFile, frame: Slice, motion: PiecewiseAffine
     owner = np.repeat(np.arange(len(file.streamlines)), [len(points) for points in file.streamlines])
     line = _Line(file.streamlines.get_data().astype(float), owner, frame, half)
     s, crossings = _stops(line, motion)
-    state = _states(line, s, motion, PiecewiseAffineMap(organ, organ))
+    state = _states(line, s, motion, organ)
     at_lip = _lips(line, s, crossings, state, motion)
     first, last, state = _pieces(line, s, state, at_lip, elsewhere)
     at = np.concatenate([np.zeros(0, int), *(np.arange(a, b + 1) for a, b in zip(first, last))])
@@ -163,9 +163,9 @@ def _states(line: _Line, s, motion, organ) -> np.ndarray:
     state = np.full(len(s) - 1, _STAYS)
     i, middle = line.steps(s)
     at = line.plane(middle)
-    held = motion.holds(at)
-    whole = held & motion.holds(line.plane(s[i])) & motion.holds(line.plane(s[i + 1]))
-    state[i] = np.select([whole, ~held & organ.holds(at)], [_MOVES, _GONE], _STAYS)
+    tissue = motion.holds(at)
+    whole = tissue & motion.holds(line.plane(s[i])) & motion.holds(line.plane(s[i + 1]))
+    state[i] = np.select([whole, ~tissue & held(at, organ)], [_MOVES, _GONE], _STAYS)
     return state
 
 

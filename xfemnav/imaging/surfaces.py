@@ -12,9 +12,9 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.locate import LIP
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.landmarks import ON_A_CUT, OUTSIDE, RESECTED, TISSUE, moved_points, warn_of_frame, warn_of_slice
 from xfemnav.imaging.slices import Slice
 from xfemnav.imaging.surface_files import Surface
@@ -79,7 +79,7 @@ class MovedSurface:
         return self.surface.written(self.points, self.kept)
 
 
-def move_surface(surface: Surface, frame: Slice, motion: PiecewiseAffineMap, organ) -> MovedSurface:
+def move_surface(surface: Surface, frame: Slice, motion: Motion, organ) -> MovedSurface:
     """The `surface` after the `motion` of the tissue in the slice `frame`.
 
     `organ` (t, 3, 2) mm: triangles of the whole organ at rest, also of what was resected.

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import SimpleITK as sitk
 
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.gaps import bridged, extended
 from xfemnav.imaging.hdf5 import transform_bytes
 from xfemnav.imaging.slices import Slice
@@ -37,31 +37,29 @@ def roomy(slice: Slice, points) -> Slice:
                    origin=slice.origin - before * slice.spacing, affine=affine, frames=None)
 
 
-def backward(slice: Slice, organ, rest, moved, gaps: str = "bridged", motion: PullBack | None = None) -> np.ndarray:
-    """Where the tissue in each pixel of `slice` rested minus where it is now, (n1, n2, 2) mm, from triangles at `rest`
-    and `moved`, both (t, 3, 2) mm.
+def backward(slice: Slice, organ, tissue: Motion, gaps: str = "bridged", known: PullBack | None = None) -> np.ndarray:
+    """Where the `tissue` in each pixel of `slice` rested minus where it is now, (n1, n2, 2) mm.
 
     Pixels of the `organ`, triangles (m, 3, 2) mm at rest, that hold no tissue now are `gaps`, "bridged" or "extended"
-    (see `imaging.gaps`). What is neither organ nor tissue is 0. `motion` is the triangles' on these pixels, where it is
-    known.
+    (see `imaging.gaps`). What is neither organ nor tissue is 0. `known`: the pull-back on these pixels, if it is.
     """
     grid = slice.origin, slice.spacing, slice.values.shape
-    motion = motion or pull_back(rest, moved, *grid)
+    motion = known or pull_back(tissue.rest, tissue.moved, *grid)
     empty = covered(organ, *grid) & ~motion.tissue
     if gaps == "extended":
         return extended(motion, empty)
     if gaps == "bridged":
-        return bridged(motion, empty, PiecewiseAffineMap(rest, moved))
+        return bridged(motion, empty, tissue)
     raise ValueError(f"gaps is {gaps!r}, wanted bridged or extended")
 
 
-def forward(slice: Slice, rest, moved) -> np.ndarray:
-    """Displacement (n1, n2, 2) mm of the tissue that rested at each pixel centre of `slice`; 0 where none is left.
+def forward(slice: Slice, tissue: Motion) -> np.ndarray:
+    """Displacement (n1, n2, 2) mm of the `tissue` that rested at each pixel centre of `slice`; 0 where none is left.
 
-    The triangles as in `backward`. Exact at the centres; whoever interpolates between two of them across a cut gets
+    Exact at the centres; whoever interpolates between two of them across a cut gets
     something between the motions of its lips.
     """
-    return pull_back(moved, rest, slice.origin, slice.spacing, slice.values.shape).field
+    return pull_back(tissue.moved, tissue.rest, slice.origin, slice.spacing, slice.values.shape).field
 
 
 def itk_transform(slice: Slice, field) -> sitk.CompositeTransform:

@@ -19,7 +19,7 @@ def facet_kinds(space: Space, skull: Skull) -> tuple[np.ndarray, np.ndarray]:
     gaps = np.full(len(kinds), float(skull.gap_mm))
     if not skull.arcs:
         return kinds, gaps
-    outline = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
+    outline = shapely.LinearRing(mesh.outline)
     middles = shapely.points(split.rim.facets.mean(axis=1))
     on = shapely.distance(outline, middles) < 1e-6
     at = shapely.line_locate_point(outline, middles)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from xfemnav.errors import XfemnavError, warn
+from xfemnav.geometry.motion import Motion
 from xfemnav.limits import SWAY
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.problem import Problem
@@ -53,13 +54,13 @@ def _named(problem, body):
     return f"the piece of {area[body]:.3g} mm2 about ({x:.1f}, {y:.1f}) mm"
 
 
-def refuse_flight(problem: Problem, rest, moved, body) -> None:
+def refuse_flight(problem: Problem, motion: Motion, body) -> None:
     """No equilibrium moves tissue farther than the organ is large, beyond what is prescribed.
 
-    rest, moved (t, 3, 2) mm: triangles; body (t,): which body each belongs to. Raises XfemnavError E406.
+    body (t,): which body each triangle of the motion belongs to. Raises XfemnavError E406.
     """
     size = np.ptp(problem.mesh.points, axis=0).max()
-    far = np.linalg.norm(moved - rest, axis=2).max(axis=1)
+    far = np.linalg.norm(motion.moved - motion.rest, axis=2).max(axis=1)
     k = far.argmax()
     if far[k] > size + np.abs(problem.constraints.d).max(initial=0.0):
         why = "nothing keeps it in its place, or the load is too large for so soft a tissue"

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from xfemnav.geometry.affine_map import PiecewiseAffineMap
 from xfemnav.geometry.locate import locate
 from xfemnav.geometry.mesh import Mesh
+from xfemnav.geometry.motion import Motion
 from xfemnav.geometry.window import near_cells
 from xfemnav.mechanics.condensation import Condensation
 from xfemnav.mechanics.fan import graded_triangles
@@ -32,8 +32,8 @@ class Soup:
 
     @property
     def cuts(self) -> tuple[np.ndarray, ...]:
-        """The cut's path."""
-        return () if self.incision is None else tuple(cut.path for cut in self.incision.cuts)
+        """The cut's path, as it is snapped to the mesh."""
+        return () if self.incision is None else self.incision.space.parts.paths
 
     @cached_property
     def _pieces(self):
@@ -109,16 +109,16 @@ class LiveMotion:
         return np.concatenate([(self.soup.mesh.points + self.U)[cells], self.near_moved])
 
     @cached_property
-    def all(self) -> PiecewiseAffineMap:
+    def all(self) -> Motion:
         """The whole motion, both ways: it takes as long to make as an image."""
-        return PiecewiseAffineMap(self.soup.rest, self.moved, self.soup.cuts)
+        return Motion(self.soup.rest, self.moved, self.soup.cuts)
 
     @cached_property
-    def _close(self) -> PiecewiseAffineMap:
+    def _close(self) -> Motion:
         cells, mesh = self.soup.beside, self.soup.mesh
         rest = np.concatenate([mesh.corners[cells], self.soup.near])
         moved = np.concatenate([(mesh.points + self.U)[mesh.cells[cells]], self.near_moved])
-        return PiecewiseAffineMap(rest, moved, self.soup.cuts)
+        return Motion(rest, moved, self.soup.cuts)
 
     def to_current(self, points, side=0) -> np.ndarray:
         """Where the tissue that rested at `points` (n, 2) mm is now; NaN where there is none. `side` +1 left, -1 right.

@@ -29,7 +29,7 @@ def measured_at(space: Space, rim: Rim, measured, pulled=()) -> tuple[np.ndarray
     split, mesh = space.parts, space.mesh
     if measured.ndim != 2 or measured.shape[1] not in (4, 5) or not np.isfinite(measured[:, :4]).all():
         raise XfemnavError("E408", "measured boundary displacements need the columns x,y,ux,uy (and side), all finite.")
-    outline = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
+    outline = shapely.LinearRing(mesh.outline)
     off = outline.distance(shapely.points(measured[:, :2]))
     if off.max(initial=0.0) > MEASURED_OFF_MM:
         x, y = measured[np.argmax(off), :2]

@@ -125,7 +125,7 @@ def warn_of_slivers(space: Space, cuts, resections, retractions, spans) -> None:
 
 def _tissue(space, resections):
     """The tissue as a region: the organ without what is resected, slit along the cuts."""
-    organ = shapely.Polygon(space.mesh.points[space.mesh.boundary_loops[0]])
+    organ = shapely.Polygon(space.mesh.outline)
     hair = 1e-3 * float(space.mesh.sizes.min())
     gone = [item.region for item in resections]
     drawn = (path for path in space.parts.paths if len(path) > 1)  # of one in a resection nothing is left

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array, eye_array
 
 from xfemnav.geometry.mesh import frozen_array, orient
+from xfemnav.geometry.motion import Motion
 from xfemnav.geometry.moved_outline import moved_outline
 from xfemnav.mechanics.constraints import Constraints, eliminate, multipliers
 from xfemnav.mechanics.contact import ContactForce, contact_forces
@@ -38,9 +39,9 @@ class Solution:
     """The deformed organ.
 
     U (n_rows, 2) mm: coefficients of the basis; residual: relative; energy: strain energy, kPa mm^2 (per mm thick).
-    Triangles of the cut organ, finer at the tips: rest (t, 3, 2) mm, moved (t, 3, 2) mm, the part (t,) of each,
-    strain (t, 3) xx, yy, xy (Green-Lagrange's with the neo-Hookean model), and det_F (t,), the ratio of moved to
-    resting area. outline (k, 2) mm: the organ's moved outline, a closed loop that bridges the mouths by straight lines,
+    motion: that of the triangles of the cut organ, finer at the tips. Of these the part (t,) of each, its strain (t, 3)
+    xx, yy, xy (Green-Lagrange's with the neo-Hookean model), and det_F (t,), the ratio of moved to resting area.
+    outline (k, 2) mm: the organ's moved outline, a closed loop that bridges the mouths by straight lines,
     and goes on as at rest where tissue was removed.
     contact: where lips press on each other and the outline on the skull, by contact_force (g,) mN per mm, those of the
     problem's `contacts`; min_gap_mm: the smallest mean gap there.
@@ -52,8 +53,7 @@ class Solution:
     U: np.ndarray
     residual: float
     energy: float
-    rest: np.ndarray
-    moved: np.ndarray
+    motion: Motion
     part: np.ndarray
     body: np.ndarray
     strain: np.ndarray
@@ -78,8 +78,6 @@ class Solution:
         t = len(self.rest)
         for name, shape in (
             ("U", (None, 2)),
-            ("rest", (t, 3, 2)),
-            ("moved", (t, 3, 2)),
             ("strain", (t, 3)),
             ("det_F", (t,)),
             ("outline", (None, 2)),
@@ -88,6 +86,16 @@ class Solution:
             object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
         for name in ("part", "body"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), np.int64, (t,), name))
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Triangles (t, 3, 2) mm at rest."""
+        return self.motion.rest
+
+    @property
+    def moved(self) -> np.ndarray:
+        """Triangles (t, 3, 2) mm now."""
+        return self.motion.moved
 
     @property
     def rest_areas(self) -> np.ndarray:
@@ -133,15 +141,15 @@ def solve(problem: Problem) -> Solution:
     state = _minimum(problem, elastic)
     found, touching, U = state.found, problem.contacts, state.found.U.reshape(-1, 2)
     triangles = _triangles(problem, U)
-    refuse_flight(problem, *(triangles[name] for name in ("rest", "moved", "body")))
-    loop = problem.mesh.points[problem.mesh.boundary_loops[0]]
-    by_linear = _moved(problem, triangles["rest"], triangles["part"], state.linear.U.reshape(-1, 2))
+    motion = triangles["motion"]
+    refuse_flight(problem, motion, triangles["body"])
+    by_linear = _moved(problem, motion.rest, triangles["part"], state.linear.U.reshape(-1, 2))
     return Solution(
         U=U,
         residual=found.residual,
         energy=found.energy,
         **triangles,
-        outline=moved_outline(loop, triangles["rest"], triangles["moved"]),
+        outline=moved_outline(problem.mesh.outline, motion),
         retractor=_forces(problem, state.constraints, state.basis.T @ state.reaction, U),
         contact_force=found.force,
         contact=() if touching is None else contact_forces(touching, found.force),
@@ -151,7 +159,7 @@ def solve(problem: Problem) -> Solution:
         model=problem.rules.model,
         load_steps=found.load_steps,
         newton_iterations=found.newton_iterations,
-        linear_difference_mm=float(np.linalg.norm(triangles["moved"] - by_linear, axis=2).max()),
+        linear_difference_mm=float(np.linalg.norm(motion.moved - by_linear, axis=2).max()),
         nnz=elastic.nnz,
         # Plain elements couple each node with itself and its neighbours, both components.
         added_nnz=elastic.nnz - 4 * (len(problem.mesh.points) + 2 * len(problem.mesh.edges)),
@@ -221,8 +229,7 @@ def _triangles(problem, U):
         strain += np.einsum("tki,tkj->tij", H, H).reshape(-1, 4)[:, [0, 3, 1]] / 2
     det_F = (1 + H[:, 0, 0]) * (1 + H[:, 1, 1]) - H[:, 0, 1] * H[:, 1, 0]
     return {
-        "rest": rest,
-        "moved": moved,
+        "motion": Motion(rest, moved, space.parts.paths),
         "part": part,
         "body": problem.enrichment.body[part],
         "strain": strain,

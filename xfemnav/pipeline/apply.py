@@ -143,7 +143,7 @@ def _points(result: Result, path: Path, target: Path, choices: Choices) -> str:
     from xfemnav.imaging.point_files import read_points, write_points
 
     found, organ = read_points(path), result.organ
-    outline = result.outline if choices.inverse else organ.points[organ.boundary_loops[0]]
+    outline = result.outline if choices.inverse else organ.outline
     warn_of_points(found, path.name, result.frame, outline)
     moved = result.landmarks(found.points, choices.side, inverse=choices.inverse)
     write_points(target, placed(found, moved, one_lip=choices.side is not None))
@@ -160,7 +160,7 @@ def _tracts(result: Result, path: Path, target: Path, choices: Choices) -> str:
 
 def _surface(result: Result, path: Path, target: Path, choices: Choices) -> str:
     moved, organ = result.surface(path, space=choices.space), result.organ
-    moved.warn_of_frame(path.name, result.frame, organ.points[organ.boundary_loops[0]])
+    moved.warn_of_frame(path.name, result.frame, organ.outline)
     target.write_bytes(moved.content)
     return moved.words
 

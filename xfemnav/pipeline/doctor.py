@@ -100,17 +100,17 @@ def _check_vtu(folder: Path) -> None:
     import numpy as np
 
     from xfemnav.imaging.known import OBLIQUE, agree
-    from xfemnav.imaging.scenes import scene_slice, scene_triangles
+    from xfemnav.imaging.scenes import scene_motion, scene_slice
     from xfemnav.pipeline.files import read_soup, write_soup
 
     frame = scene_slice(OBLIQUE)
-    rest, moved = scene_triangles(OBLIQUE, frame)
-    write_soup(folder / "s.vtu", frame, rest, moved, {"det_F": np.ones(len(rest))})
+    motion = scene_motion(OBLIQUE, frame)
+    write_soup(folder / "s.vtu", frame, motion.rest, motion.moved, {"det_F": np.ones(len(motion.rest))})
     found = meshio.vtu.read(folder / "s.vtu")
     cells = found.get_cells_type("triangle")
     agree("points", found.points[cells], OBLIQUE.world(OBLIQUE.rest), 1e-5)  # corners are merged to 1e-6 mm
     agree("displacements", (found.points + found.point_data["displacement"])[cells], OBLIQUE.world(OBLIQUE.moved), 1e-5)
-    for what, got, wanted in zip(("rest", "moved"), read_soup(folder / "s.vtu", frame), (rest, moved)):
+    for what, got, wanted in zip(("rest", "moved"), read_soup(folder / "s.vtu", frame), (motion.rest, motion.moved)):
         agree(what, got, wanted, 1e-5)
 
 

@@ -19,8 +19,8 @@ from xfemnav.pipeline.reopening import preoperative_slice
 from xfemnav.pipeline.signatures import own_names, takes_flags
 
 if TYPE_CHECKING:
-    from xfemnav.geometry.affine_map import PiecewiseAffineMap
     from xfemnav.geometry.mesh import Mesh
+    from xfemnav.geometry.motion import Motion
     from xfemnav.imaging.landmarks import MovedPoints
     from xfemnav.imaging.lean import nibabel
     from xfemnav.imaging.slices import Slice
@@ -165,22 +165,21 @@ class Result:
         return Mesh(self.frame.from_world(found.points)[0], found.triangles)
 
     @cached_property
-    def motion(self) -> "PiecewiseAffineMap":
-        """The map of the tissue, in plane coordinates: a PiecewiseAffineMap."""
+    def motion(self) -> "Motion":
+        """The map of the tissue, in plane coordinates: a Motion."""
         spare_the_run()
-        from xfemnav.geometry.affine_map import PiecewiseAffineMap
+        from xfemnav.geometry.motion import Motion
         from xfemnav.pipeline.files import read_soup
 
         rest, moved = read_soup(self._path(self._solution), self.frame)
-        return PiecewiseAffineMap(rest, moved, tuple(np.array(cut["path"]) for cut in self._cuts))
+        return Motion(rest, moved, tuple(np.array(cut["path"]) for cut in self._cuts))
 
     @cached_property
     def outline(self) -> np.ndarray:
         """The organ's outline now, a closed loop (k, 2) plane mm, its mouths bridged by straight lines."""
         from xfemnav.geometry.moved_outline import moved_outline
 
-        loop = self.organ.points[self.organ.boundary_loops[0]]
-        return moved_outline(loop, self.motion.rest, self.motion.moved)
+        return moved_outline(self.organ.outline, self.motion)
 
     @cached_property
     def update(self) -> "Update":
@@ -288,13 +287,13 @@ class Result:
         suffix = next((end for end in TRANSFORMS if str(path).lower().endswith(end)), None)
         if suffix is None:
             raise XfemnavError("E780", f"{path} has no suffix of a transform; give one of {', '.join(TRANSFORMS)}.")
-        rest, moved, organ = self.motion.rest, self.motion.moved, self.organ.corners
+        organ = self.organ.corners
         if direction == "backward":
-            frame = roomy(self.frame, np.concatenate([organ, moved]))
-            field = backward(frame, organ, rest, moved, gaps)
+            frame = roomy(self.frame, np.concatenate([organ, self.motion.moved]))
+            field = backward(frame, organ, self.motion, gaps)
         elif direction == "forward":
             frame = roomy(self.frame, organ)
-            field = forward(frame, rest, moved)
+            field = forward(frame, self.motion)
         else:
             raise ValueError(f"direction is {direction!r}, wanted backward or forward")
         meaning = {"backward": "resampling", "forward": "modeling"}[direction]

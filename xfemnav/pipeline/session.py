@@ -21,8 +21,8 @@ from xfemnav.pipeline.result import SIDES, Side, side_number
 from xfemnav.pipeline.signatures import own_names, takes_flags
 
 if TYPE_CHECKING:
-    from xfemnav.geometry.affine_map import PiecewiseAffineMap
     from xfemnav.geometry.mesh import Mesh
+    from xfemnav.geometry.motion import Motion
     from xfemnav.imaging.slices import Slice
     from xfemnav.mechanics.solution import RetractorForce
 
@@ -135,8 +135,8 @@ class Session:
         return self._mapped(points, self.motion.to_preoperative)
 
     @property
-    def motion(self) -> "PiecewiseAffineMap":
-        """The map of the tissue, in plane coordinates: a PiecewiseAffineMap, as that of a run."""
+    def motion(self) -> "Motion":
+        """The map of the tissue, in plane coordinates: a Motion, as that of a run."""
         return self._motion.all
 
     @property
@@ -266,7 +266,7 @@ class Session:
         from xfemnav.geometry.cut import place_cut
 
         drawn = self._settings.cuts[0]
-        outline = self.mesh.points[self.mesh.boundary_loops[0]]
+        outline = self.mesh.outline
         return place_cut(path, outline, drawn.name, internal=drawn.internal, craniotomy=drawn.craniotomy)
 
     def _rows(self, points) -> np.ndarray:

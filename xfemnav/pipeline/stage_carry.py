@@ -95,7 +95,7 @@ def _moved(item, inputs):
 
     slice, _ = inputs.value("segment")
     found = read_points(inputs.files[item.role])
-    moved = moved_points(found.points, slice, _motion(inputs), inputs.value("mesh").corners)
+    moved = moved_points(found.points, slice, inputs.value("solve").motion, inputs.value("mesh").corners)
     table = {"file": inputs.files[item.role].name, "n": len(found.points)}
     table |= {flag.replace(" ", "_"): moved.flag.count(flag) for flag in ("tissue", "on a cut", "resected", "outside")}
     return placed(found, moved), table
@@ -134,7 +134,7 @@ def _warn_of_places(item, inputs):
     from xfemnav.imaging.point_files import read_points
 
     (slice, _), mesh, path = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role]
-    warn_of_points(read_points(path), path.name, slice, mesh.points[mesh.boundary_loops[0]])
+    warn_of_points(read_points(path), path.name, slice, mesh.outline)
 
 
 def _streamlines(item, params, inputs):
@@ -143,7 +143,7 @@ def _streamlines(item, params, inputs):
 
     slice, _ = inputs.value("segment")
     read = decoded_streamlines(inputs.content(item.role), inputs.files[item.role].name, inputs.config.limit)
-    return move_streamlines(read, slice, _motion(inputs), inputs.value("mesh").corners)
+    return move_streamlines(read, slice, inputs.value("solve").motion, inputs.value("mesh").corners)
 
 
 def _write_streamlines(item, inputs, folder, name, moved):
@@ -159,20 +159,13 @@ def _surface(item, params, inputs):
 
     (slice, _), mesh, name = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role].name
     read = decoded_surface(inputs.content(item.role), name, params.space, inputs.config.limit)
-    moved = move_surface(read, slice, _motion(inputs), mesh.corners)
-    moved.warn_of_frame(name, slice, mesh.points[mesh.boundary_loops[0]])
+    moved = move_surface(read, slice, inputs.value("solve").motion, mesh.corners)
+    moved.warn_of_frame(name, slice, mesh.outline)
     return moved
 
 
 def _write_surface(item, inputs, folder, name, moved):
     (folder / f"{name}{ending(item.kind, inputs.files[item.role])}").write_bytes(moved.content)
-
-
-def _motion(inputs):
-    from xfemnav.geometry.affine_map import PiecewiseAffineMap
-
-    solution, problem = inputs.value("solve"), inputs.value("constrain")
-    return PiecewiseAffineMap(solution.rest, solution.moved, problem.parts.paths)
 
 
 #: Kinds that are no images, and what writes the file of one.

@@ -20,7 +20,7 @@ def compute(params, inputs):
 
     slice, segmentation = inputs.value("segment")
     mesh = inputs.value("mesh")
-    outline = mesh.points[mesh.boundary_loops[0]]
+    outline = mesh.outline
     cuts = _placed(params.cuts, [_drawn_path(cut, inputs) for cut in params.cuts], outline)
     blades = tuple(Retraction(cut=r.cut, side=r.side, displacement_mm=r.displacement_mm, normal_mm=r.normal_mm,
                               force_mN_per_mm=r.force_mN_per_mm, blade=r.blade, blade_given=r.blade_given,
@@ -45,10 +45,7 @@ def _drawn_path(item, inputs):
 
 def _motion(item, inputs):
     """The motion of the tissue up to the step in whose slice an item was drawn."""
-    from xfemnav.geometry.affine_map import PiecewiseAffineMap
-
-    solution = inputs.value("solve", item.drawn_after)
-    return PiecewiseAffineMap(solution.rest, solution.moved)
+    return inputs.value("solve", item.drawn_after).motion
 
 
 def _plane(slice, points, space):
@@ -96,7 +93,7 @@ def _taken_out(params, mesh, cuts, inputs):
 
     if not params.resections:
         return {}
-    (slice, _), outline, least = inputs.value("segment"), mesh.points[mesh.boundary_loops[0]], _least_mm2(params)
+    (slice, _), outline, least = inputs.value("segment"), mesh.outline, _least_mm2(params)
     found = {k: _marked(item, slice, inputs) for k, item in enumerate(params.resections) if item.outline is None}
     placed = _placed_regions(params, found, outline, inputs)
     held = [substring(shapely.LineString(cuts[r.cut].path), *(r.blade or (0.0, 1.0)), normalized=True)
@@ -206,8 +203,8 @@ def facts(value, inputs):
     return {
         "enrichment": {"heaviside_nodes": len(enrichment.heaviside_nodes), "tip_nodes": len(enrichment.tip_nodes),
                        "n_dof": int(enrichment.n_dof), "added_dof": int(enrichment.n_dof - 2 * len(value.mesh.points))},
-        "cuts": [{"name": cut.name, "path": cut.path.tolist(), "length_mm": cut.length,
-                  "told": bearings.of_cut(cut)} for cut in value.cuts],
+        "cuts": [{"name": cut.name, "path": path.tolist(), "length_mm": cut.length, "told": bearings.of_cut(cut)}
+                 for cut, path in zip(value.cuts, value.parts.paths)],
         "resections": [{"name": item.name, "area_mm2": item.area_mm2, "told": bearings.of_resection(item)}
                        for item in value.resections],
         "pieces": [{"name": piece.name, "area_mm2": piece.area_mm2, "place_mm": list(piece.place_mm),

@@ -41,7 +41,7 @@ def _about_the_organ(mesh, inputs):
 
     from xfemnav.errors import XfemnavError
 
-    loop = mesh.points[mesh.boundary_loops[0]]
+    loop = mesh.outline
     edge = float(np.median(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)))
     limit, distance = max(FAR_MESH_MM, 2 * edge), _hausdorff(mesh, inputs)
     if distance > limit:
@@ -69,7 +69,7 @@ def _hausdorff(mesh, inputs) -> float:
 
     slice, segmentation = inputs.value("segment")
     one = shapely.LinearRing(outline_of(segmentation.mask, slice.origin, slice.spacing))
-    other = shapely.LinearRing(mesh.points[mesh.boundary_loops[0]])
+    other = shapely.LinearRing(mesh.outline)
 
     def farthest(line, other):
         """Largest distance of points on a line, half a pixel apart, from the segments of the other."""

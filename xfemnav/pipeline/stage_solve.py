@@ -96,12 +96,10 @@ def publish(value, inputs, folder):
 
 def _drawn(slice, problem, solution):
     """Each cut at rest, and its two lips now, as curves of point sets in the world."""
-    from xfemnav.geometry.affine_map import PiecewiseAffineMap
     from xfemnav.imaging.points import PointSet
 
-    motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.parts.paths)
-    for k, (cut, path) in enumerate(zip(problem.cuts, problem.parts.paths)):
-        lips = ((f"{cut.name}, {name} lip now", motion.lip_now(k, side)) for name, side in SIDES)
+    for k, (cut, path) in enumerate(zip(problem.cuts, solution.motion.cuts)):
+        lips = ((f"{cut.name}, {name} lip now", solution.motion.lip_now(k, side)) for name, side in SIDES)
         for name, points in ((cut.name, path), *lips):
             if len(points) > 1:  # a lip may be resected
                 yield PointSet("Curve", name, slice.to_world(points), ("",) * len(points))

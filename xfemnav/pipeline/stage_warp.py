@@ -42,13 +42,11 @@ def lying_twice(overlap, slice, problem, solution):
     import numpy as np
     import shapely
 
-    from xfemnav.geometry.affine_map import PiecewiseAffineMap
     from xfemnav.imaging.masks import components
 
     twice = np.array(overlap)
     if twice.any() and problem.cuts:
-        motion = PiecewiseAffineMap(solution.rest, solution.moved, problem.parts.paths)
-        found = [motion.lip_now(k, side) for k in range(len(problem.cuts)) for side in (1, -1)]
+        found = [solution.motion.lip_now(k, side) for k in range(len(problem.cuts)) for side in (1, -1)]
         lips = shapely.MultiLineString([points for points in found if len(points) > 1])
         centres = shapely.points(slice.pixel_centres()[twice])
         twice[twice] = shapely.distance(centres, lips) > SLIVER_MM
@@ -123,12 +121,12 @@ def _write_transforms(motion, inputs, folder, which):
     slice, _ = inputs.value("segment")
     frame = roomy(slice, np.concatenate([mesh.corners, solution.moved]))
     known = motion if frame.values.shape == slice.values.shape else None  # there was room already
-    bridged = backward(frame, mesh.corners, solution.rest, solution.moved, "bridged", known)
+    bridged = backward(frame, mesh.corners, solution.motion, "bridged", known)
     write_transform(folder / "transform.h5", frame, bridged)
     if which == "all":
-        extended = backward(frame, mesh.corners, solution.rest, solution.moved, "extended", known)
+        extended = backward(frame, mesh.corners, solution.motion, "extended", known)
         write_transform(folder / "transform-extended.h5", frame, extended)
         write_nrrd(folder / "field-nrrd.nrrd", frame, bridged, "resampling")
         write_nifti(folder / "field-nifti.nii.gz", field_nifti(frame, bridged))
         frame = roomy(slice, mesh.corners)
-        write_nrrd(folder / "forward-nrrd.nrrd", frame, forward(frame, solution.rest, solution.moved), "modeling")
+        write_nrrd(folder / "forward-nrrd.nrrd", frame, forward(frame, solution.motion), "modeling")

@@ -11,7 +11,7 @@ from xfemnav.geometry.mesh import frozen_array
 
 
 @dataclass(frozen=True, eq=False)
-class PiecewiseAffineMap:
+class Motion:
     """Triangles at `rest` and `moved`, both (t, 3, 2) mm, and the `cuts` between them, paths (n, 2) mm at rest.
 
     The triangles tile the tissue at rest and do not cross the cuts. In all methods points are (n, 2) mm in the plane,
