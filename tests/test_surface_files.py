@@ -188,6 +188,15 @@ def test_what_cannot_be_is_refused():
             decoded_surface(content, name)
 
 
+def test_a_facet_that_does_not_end_takes_no_solid_with_it():
+    """The lines of solids would be lost with it when the facet is written anew."""
+    facet = b"facet normal 0 0 1\n outer loop\n"
+    text = SEEDS["ascii.stl"]
+    second, end = text.index(facet, text.index(facet) + 1), text.index(b"endsolid one")
+    with pytest.raises(XfemnavError, match=r"E701.*damaged STL text"):
+        decoded_surface(text[:second] + facet + text[end:], "a.stl")
+
+
 @pytest.mark.parametrize("packer", [("vtkZLibDataCompressor", zlib.compress), ("vtkLZMADataCompressor", lzma.compress)])
 def test_what_unpacks_to_too_much_is_refused_unread(packer):
     name, pack = packer

@@ -14,6 +14,7 @@ HEADER = 84
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 CORNER = re.compile(rb"^\s*vertex\s+(.*?)\s*$", re.IGNORECASE | re.MULTILINE)
 SOLID, END = (re.compile(rb"^\s*" + word + rb"\b", re.IGNORECASE | re.MULTILINE) for word in (b"solid", b"endsolid"))
+OPENING = re.compile(rb"^\s*(?:end)?(?:facet|solid)\b", re.IGNORECASE | re.MULTILINE)
 OF_TEXT = re.compile(rb"^\s*facet\b.*?^\s*endfacet\b[^\n]*\n?", re.IGNORECASE | re.MULTILINE | re.DOTALL)
 
 
@@ -45,7 +46,8 @@ def _text(content: bytes, name: str) -> Form:
     facets = list(OF_TEXT.finditer(content))
     words = [found[1].split() for facet in facets for found in CORNER.finditer(facet[0])]
     try:
-        if len(words) != 3 * len(facets) or len(CORNER.findall(content)) != len(words):
+        if (len(words) != 3 * len(facets) or len(CORNER.findall(content)) != len(words)
+                or any(len(OPENING.findall(facet[0])) != 2 for facet in facets)):
             raise ValueError("a facet has other than three corners, or no end")
         if len(SOLID.findall(content)) != len(END.findall(content)) or not END.match(content.rstrip().splitlines()[-1]):
             raise ValueError("a solid has no end")
