@@ -24,11 +24,11 @@ demo: $(INSTALLED)  ## the paper's experiment on a real MRI slice, with today's 
 paper: $(INSTALLED)  ## the same with the paper's own choices: pointwise lips, uniform mesh, topological tip enrichment
 	$(BIN)/xfemnav demo -o out/paper --lip-constraint pointwise --corridor-mm 0 --tip-enrichment topological
 
-worked-case: $(INSTALLED)  ## docs/worked-case.md: a cut from the brain surface to a tumour on the phantom
+worked-case: $(INSTALLED)  ## docs/use/worked-case.md: a cut from the brain surface to a tumour on the phantom
 	$(BIN)/xfemnav example phantom out/phantom
 	$(BIN)/xfemnav run out/phantom/sub-phantom_T1w.nii.gz --cut "58,50.2 25.4,22" --left 2.3,-2.6 --right=-2.3,2.6 -o out/worked-case
 
-steps: $(INSTALLED)  ## docs/steps.md: an operation in five steps on a real slice, from one scenario
+steps: $(INSTALLED)  ## docs/use/steps.md: an operation in five steps on a real slice, from one scenario
 	$(BIN)/xfemnav example surgery out/surgery
 	$(BIN)/xfemnav run --scenario out/surgery/surgery.toml -o out/steps
 
@@ -55,8 +55,8 @@ lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .
 
 docs: demo worked-case  ## write the generated pages and pictures of docs/ again
-	$(BIN)/python -m xfemnav.pipeline.errordocs > docs/errors.md
-	$(BIN)/python -m xfemnav.pipeline.scenariodocs > docs/scenario.md
+	$(BIN)/python -m xfemnav.pipeline.errordocs > docs/reference/errors.md
+	$(BIN)/python -m xfemnav.pipeline.scenariodocs > docs/reference/scenario.md
 	$(BIN)/python docs/pictures.py
 
 bench: $(INSTALLED)  ## measurements beside other programs and known answers; one of them: make bench BENCH=warp

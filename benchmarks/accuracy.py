@@ -1,4 +1,4 @@
-"""Accuracy of the mechanics on problems with known answers, and the page docs/accuracy.md with its figure.
+"""Accuracy of the mechanics on problems with known answers, and the page docs/measured/accuracy.md with its figure.
 
     python -m benchmarks.accuracy [problem ...] [--page]
 

@@ -2,7 +2,7 @@
 
     python -m benchmarks.accuracy_time
 
-Problems a (edge crack: K_I), d (singular field: energy norm) and p (retraction disc: displacement) of docs/accuracy.md.
+The problems of docs/measured/accuracy.md: a (edge crack: K_I), d (singular field: energy norm), p (retraction disc: u).
 xfemnav's seconds run from the new cut to displacements; the chain's also hold its mesh, which it has to make anew.
 `live` is what a session does: the organ without the cut was condensed before. Graded meshes are fine where the data of
 this cut end: as good for other cuts only as far as theirs end there too.

@@ -2,7 +2,7 @@
 
     python -m benchmarks.finite_strain [--page]
 
-Writes benchmarks/results/finite_strain.json and docs/finite-strain.md.
+Writes benchmarks/results/finite_strain.json and docs/measured/finite-strain.md.
 """
 
 import json

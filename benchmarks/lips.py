@@ -4,7 +4,7 @@
 
 Problem p's disc is its own image under turns by whole degrees, so the mesh is turned under the cut: 20 turns, and 5 by
 which a node of the mesh comes to lie 2e-3 h from the held lip, so that the cut leaves slivers. Prints a table and keeps
-it in benchmarks/results/lips.json; `python -m benchmarks.accuracy --page` writes it into docs/accuracy.md.
+it in benchmarks/results/lips.json; `python -m benchmarks.accuracy --page` writes it into docs/measured/accuracy.md.
 """
 
 import json

@@ -3,7 +3,7 @@
     python -m benchmarks.live [--rounds 7] [--moves 20] [--size 512] [--element-size-mm 2.6]
 
 The rows take turns, so that a busy machine is busy for all. Times are of one thread; beside the wall clock stands the
-processor's own, which other programs disturb less. The table goes to docs/live.md.
+processor's own, which other programs disturb less. The table goes to docs/use/live.md.
 """
 
 from benchmarks.timing import keep, mark, processor  # isort: skip (sets the number of threads)
@@ -33,7 +33,7 @@ from xfemnav.mechanics.problem import pose
 from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solution import solve
 
-PAGE = Path(__file__).parents[1] / "docs" / "live.md"
+PAGE = Path(__file__).parents[1] / "docs" / "use" / "live.md"
 BEGIN, END = "<!-- measured -->", "<!-- /measured -->"
 FINE = 0.95  # mm, elements in the corridor
 HELD = 0.8

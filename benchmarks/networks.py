@@ -1,4 +1,4 @@
-"""Any network of cuts, and resections, beside the conforming reference, and the page docs/networks.md.
+"""Any network of cuts, and resections, beside the conforming reference, and the page docs/measured/networks.md.
 
     python -m benchmarks.networks [case ...] [--page]
 

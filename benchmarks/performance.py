@@ -1,4 +1,4 @@
-"""All measurements of speed, one after another, and the page docs/performance.md.
+"""All measurements of speed, one after another, and the page docs/measured/performance.md.
 
     python -m benchmarks.performance [name ...] [--page]
 
@@ -17,7 +17,7 @@ from pathlib import Path
 
 from benchmarks.timing import RESULTS, processor, table
 
-PAGE = Path("docs/performance.md")
+PAGE = Path("docs/measured/performance.md")
 TITLES = {
     "mesh": "Meshes",
     "assembly": "Assembly",
@@ -84,14 +84,14 @@ def judged(marks) -> str:
 
 
 def write_page() -> None:
-    """docs/performance.md from what is kept."""
+    """docs/measured/performance.md from what is kept."""
     found = {name: json.loads((RESULTS / f"{name}.json").read_text())
              for name in TITLES if (RESULTS / f"{name}.json").exists()}
     text = PREFACE + machine() + "## The marks\n\n" + judged([m for part in found.values() for m in part["marks"]])
     for name, part in found.items():
         text += f"\n## {TITLES[name]}\n\n{_about(name)}\n\n"
         if name == "accuracy_time":
-            text += "![Error against seconds](figures/accuracy-time.png)\n\n"
+            text += "![Error against seconds](../figures/accuracy-time.png)\n\n"
         text += part["text"]
     PAGE.write_text(text)
 

@@ -12,7 +12,7 @@ a mask of one subject and one place are a pair: `seg3d_t1_head_ax` and `seg3d_br
 
 Every slice is segmented in tones of gamma .5, 1 and 2, each as it is, with a bias of 30 % across it, turned by 10 and
 20 degrees, cropped at one edge, and with all of these. Results are kept in benchmarks/results/segmentation.json, the
-page docs/segmentation.md is written from them; rows of a folder have the images' names and no path.
+page docs/measured/segmentation.md is written from them; rows of a folder have the images' names and no path.
 """
 
 import json

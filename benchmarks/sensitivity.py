@@ -3,7 +3,7 @@
     python -m benchmarks.sensitivity [--page]
 
 The choices are compared on the conforming quadratic reference, so that no discretisation error stands between them;
-locking is xfemnav's own error against it. Writes benchmarks/results/sensitivity.json and docs/sensitivity.md.
+locking is xfemnav's own error against it. Writes benchmarks/results/sensitivity.json and docs/measured/sensitivity.md.
 """
 
 import json

@@ -2,8 +2,8 @@
 
     python -m benchmarks.solve
 
-On the retraction disc (problem p of docs/accuracy.md), uniform meshes, topological tip functions. CHOLMOD is timed
-where scikit-sparse is installed.
+On the retraction disc (problem p of docs/measured/accuracy.md), uniform meshes, topological tip functions.
+CHOLMOD is timed where scikit-sparse is installed.
 """
 
 from benchmarks.timing import exponent, interleaved, keep, mark, peak_mb, table  # isort: skip (sets the number of threads)

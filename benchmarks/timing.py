@@ -97,7 +97,7 @@ def mark(name: str, limit: float, measured: float) -> dict:
 
 
 def keep(name: str, text: str, marks: list[dict]) -> None:
-    """Print the text, and keep it with its marks for docs/performance.md."""
+    """Print the text, and keep it with its marks for docs/measured/performance.md."""
     print(text)
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / f"{name}.json").write_text(json.dumps({"text": text, "marks": marks}, indent=1) + "\n")

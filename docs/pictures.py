@@ -46,7 +46,7 @@ FRONT = np.array([[-66.0, -2.0], [8.0, 62.0]])  # the left frontal lobe
 
 def run(page: str, changes: dict | None = None) -> xfemnav.Result:
     """The run of the first scenario that a page prints, with `changes` of its text, old: new."""
-    text = re.search(r"^```toml\n(.*?)^```", (DOCS / f"{page}.md").read_text(), re.MULTILINE | re.DOTALL)[1]
+    text = re.search(r"^```toml\n(.*?)^```", (DOCS / f"use/{page}.md").read_text(), re.MULTILINE | re.DOTALL)[1]
     for old, new in (changes or {}).items():
         if old not in text:
             raise ValueError(f"the scenario of {page}.md has no {old!r}")
@@ -74,7 +74,7 @@ def shrunk(name: str) -> None:
     """A run's own figure at WIDTH pixels."""
     figure = Image.open(OUT / name / "figure.png").convert("RGB")
     size = WIDTH, round(figure.height * WIDTH / figure.width)
-    figure.resize(size, Image.Resampling.LANCZOS).save(DOCS / f"{name}.png", optimize=True)
+    figure.resize(size, Image.Resampling.LANCZOS).save(DOCS / f"figures/{name}.png", optimize=True)
 
 
 def cuts() -> None:

@@ -126,7 +126,7 @@ class Way(NamedTuple):
     said: dict
 
 
-#: The rows of the table in docs/companions.md.
+#: The rows of the table in docs/use/companions.md.
 TENSORS = {
     "FSL": Way(fsl_axes, UPPER, 0, {"axes": "image"}),
     "ANTs": Way(array_axes, LOWER, 1005, {"axes": "index"}),

@@ -21,7 +21,8 @@ from xfemnav.pipeline.scenario import problems
 from xfemnav_cli.main import cli
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FOLDERS = ("use", "reference", "method", "measured")
 SOURCES = [*(ROOT / "xfemnav").rglob("*.py"), *(ROOT / "cli").rglob("*.py")]
 CODE = re.compile(r"\b[EW]\d{3}\b")
 
@@ -36,14 +37,26 @@ def commands(page: str):
         yield shlex.split(line, comments=True)
 
 
+def links(page: Path) -> list[tuple[str, str]]:
+    """Targets in this project of a page's links: file, anchor."""
+    return [(target, anchor) for target, anchor in re.findall(r"\]\(([^)#]*)#?([^)]*)\)", page.read_text())
+            if "://" not in target]
+
+
+def anchors(page: Path) -> set[str]:
+    """What a git host calls the headings of a page."""
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
+            for heading in re.findall(r"^#+ (.*)$", page.read_text(), flags=re.MULTILINE)}
+
+
 def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)
 
 
 @pytest.mark.parametrize("name, writer", [("errors", errordocs), ("scenario", scenariodocs)])
 def test_written_pages_are_those_of_the_program(name, writer):
-    again = f"write it again: python -m {writer.__name__} > docs/{name}.md"
-    assert (ROOT / f"docs/{name}.md").read_text() == writer.page(), again
+    again = f"write it again: python -m {writer.__name__} > docs/reference/{name}.md"
+    assert (ROOT / f"docs/reference/{name}.md").read_text() == writer.page(), again
 
 
 def test_every_key_of_a_scenario_is_explained():
@@ -99,13 +112,35 @@ def test_every_scenario_on_a_page_is_valid(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
-def test_every_python_block_compiles_and_every_link_leads_somewhere(page):
-    text = page.read_text()
-    for block in blocks(text, "python"):
+def test_every_python_block_compiles(page):
+    for block in blocks(page.read_text(), "python"):
         ast.parse(block)
-    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text):
-        if "://" not in target:
-            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_link_leads_somewhere(page):
+    for target, anchor in links(page):
+        assert (page.parent / target).exists(), target
+        assert not anchor or anchor in anchors(page.parent / target if target else page), f"{target}#{anchor}"
+
+
+def test_every_page_is_in_the_index_once_with_what_it_answers():
+    """And lies in one of the four folders; a figure is on some page."""
+    index = ROOT / "docs/README.md"
+    rows = re.findall(r"^\| \[([\w-]+)\]\(([\w/.-]+)\) \| (\S.*\?) \|$", index.read_text(), flags=re.MULTILINE)
+    assert [f"{Path(target).parent}/{name}.md" for name, target, _ in rows] == [target for _, target, _ in rows]
+    pages = {page.relative_to(index.parent).as_posix() for page in PAGES[1:]} - {"README.md"}
+    assert sorted(target for _, target, _ in rows) == sorted(pages)
+    assert {str(Path(page).parent) for page in pages} == set(FOLDERS)
+    shown = {(page.parent / target).resolve() for page in PAGES for target, _ in links(page)}
+    assert set((ROOT / "docs").rglob("*.png")) <= shown
+
+
+def test_every_page_and_figure_that_the_code_names_is_there():
+    folders = ("xfemnav", "cli", "tests", "benchmarks", "docs", "data_synthetic")
+    for path in [ROOT / "Makefile", *PAGES, *(path for name in folders for path in (ROOT / name).rglob("*.py"))]:
+        for name in re.findall(r"\bdocs/[a-z0-9/_-]+\.(?:md|png|py)\b", path.read_text()):
+            assert (ROOT / name).exists(), f"{path.name}: {name}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
@@ -114,7 +149,7 @@ def test_every_code_on_a_page_exists(page):
 
 
 def test_page_of_outputs_names_every_file_key_and_check():
-    text = (ROOT / "docs/outputs.md").read_text()
+    text = (ROOT / "docs/reference/outputs.md").read_text()
     schema = json.loads((ROOT / "xfemnav/pipeline/run.schema.json").read_text())["properties"]
     names = [name + ":NAME" if name == "companion" else name for name in NAMES]
     for name in [*names, "figure", "report", *schema, *schema["checks"]["properties"]]:
@@ -133,14 +168,14 @@ def test_makefile_describes_every_target():
 def test_worked_case_is_one_command_in_all_its_places():
     """README, docs and Makefile run the same command, and the picture is of its run."""
     line = next(line.strip() for line in (ROOT / "README.md").read_text().splitlines() if "-o out/worked-case" in line)
-    assert line in (ROOT / "docs/worked-case.md").read_text()
+    assert line in (ROOT / "docs/use/worked-case.md").read_text()
     assert line in (ROOT / "Makefile").read_text()
 
 
 @pytest.mark.slow
 def test_worked_case_runs_as_it_is_written(tmp_path):
     """Every command, the scenario and the Python block of the page, in a folder of their own."""
-    text = (ROOT / "docs/worked-case.md").read_text()
+    text = (ROOT / "docs/use/worked-case.md").read_text()
     call = "from xfemnav_cli.main import main; main()"
     programs = {"python": [sys.executable], "xfemnav": [sys.executable, "-c", call]}
     environment = os.environ | {"PYTHONPATH": str(ROOT), "XFEMNAV_CACHE": str(tmp_path / "cache")}

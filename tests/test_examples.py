@@ -22,11 +22,11 @@ from xfemnav.imaging.markups import write_markups
 from xfemnav.imaging.points import PointSet
 
 ROOT = Path(__file__).parents[1]
-PAGES = ["README.md", *sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("docs/*.md"))]
+PAGES = ["README.md", *sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("docs/**/*.md"))]
 COARSE = ("--element-size-mm", "6", "--corridor-element-mm", "1.5", "--no-report")
 #: Where a scenario goes that its page gives no name.
-UNNAMED = {"README.md": "case.toml", "docs/worked-case.md": "out/phantom/approach.toml",
-           "docs/tissues-and-loads.md": "out/surgery/pressure.toml"}
+UNNAMED = {"README.md": "case.toml", "docs/use/worked-case.md": "out/phantom/approach.toml",
+           "docs/use/tissues-and-loads.md": "out/surgery/pressure.toml"}
 #: The runs that are there to show what is not to be trusted: exit code and warnings.
 SHOWN = {"--lips free": (3, {"W403"})}
 APPROACH, TARGETS = [[-54.7, 41.5, 18.0], [-22.0, 18.0, 18.0]], [[-20.0, 33.0, 18.0], [-14.0, 10.0, 18.0]]
@@ -45,7 +45,7 @@ def scenarios(page: str) -> dict[str, str]:
     printed = re.findall(r"^```toml\n(.*?)^```", text, re.M | re.S)
     whole = [scenario for scenario in printed if scenario.startswith("xfemnav = 1\n")]
     names = re.findall(r"[Ss]ave as `([\w/-]+\.toml)`", text)
-    if page == "docs/steps.md":  # the file is written with the data
+    if page == "docs/use/steps.md":  # the file is written with the data
         names = ["out/surgery/surgery.toml"]
     return dict(zip([*names, UNNAMED.get(page)], whole, strict=False))
 
@@ -107,7 +107,7 @@ def test_an_example_runs_as_it_is_printed(example, home, monkeypatch, capfd):
     check(example.line, home, monkeypatch, capfd)
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/use/python.md"])
 def test_python_of_a_page_runs_as_it_is_printed(page, home, monkeypatch):
     """All blocks in order, one after the other as a reader would; without a warning."""
     monkeypatch.chdir(home)

@@ -262,7 +262,7 @@ def test_nitsches_lips_are_refused():
 
 
 def test_tip_functions_are_left_out_unless_asked_for():
-    """Where a cut slides at its tip they turn tissue inside out at any load (docs/finite-strain.md)."""
+    """Where a cut slides at its tip they turn tissue inside out at any load (docs/measured/finite-strain.md)."""
     assert opened(DISC, (1.0, 0.0)).rules.basis.tip_enrichment == "none"
     assert opened(DISC, (1.0, 0.0), model="linear").rules.basis.tip_enrichment == "topological"
     asked, plain = (solve(opened(DISC, (3.0, 0.0), tip_enrichment=t)) for t in ("topological", "none"))

@@ -1,4 +1,4 @@
-"""The operation of docs/steps.md, coarse: its files, its five steps, and what the page says of them."""
+"""The operation of docs/use/steps.md, coarse: its files, its five steps, and what the page says of them."""
 
 import json
 import re
@@ -11,7 +11,7 @@ import pytest
 import xfemnav
 from data_synthetic import surgery
 
-PAGE = Path(__file__).parents[1] / "docs/steps.md"
+PAGE = Path(__file__).parents[1] / "docs/use/steps.md"
 STEPS = ["drain", "cut", "retract", "resect", "release"]
 
 

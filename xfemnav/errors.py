@@ -1,7 +1,7 @@
 """One exception family, one warning family, one table of codes.
 
 Every failure carries a stable code, one line that says what is wrong, where it is, and how to mend it.
-`FAULTS` is the only list of codes: the exit status, the text of ``docs/errors.md`` and the program use it. Settings are
+`FAULTS` is the only list of codes: the exit status, ``docs/reference/errors.md`` and the program use it. Settings are
 called by marks in it, as in all messages (`xfemnav.naming`).
 """
 

@@ -75,7 +75,7 @@ SHRED_AREA = Limit(0.02, "", "smallest share of the tissue that a blade may hold
 
 BRAIN_MM2 = Limit(22_000.0, "mm²", "cross-section of a brain; more may be a head (W206)")
 RIM_DIP = Limit(0.1, "", "dip of brightness below the rim of a stripped slice, of the brightness in depth (W206)")
-# Limits of a brain found in a head, set on slices of heads whose brain is known (docs/segmentation.md).
+# Limits of a brain found in a head, set on slices of heads whose brain is known (docs/measured/segmentation.md).
 ORGAN_MM2 = Limit(1500.0, "mm²", "least area of the organ (W206)")
 LEAST_OF_HEAD = Limit(0.12, "", "least share of the head that is brain (W206)")
 MOST_OF_HEAD = Limit(0.8, "", "largest share of the head that is brain (W206)")

@@ -1,11 +1,11 @@
-"""docs/networks.md, from the kept results."""
+"""docs/measured/networks.md, from the kept results."""
 
 from pathlib import Path
 
 from benchmarks.reference.networks import NETWORKS, RESECTIONS
 from benchmarks.verification.page import number, table
 
-PAGE = Path("docs/networks.md")
+PAGE = Path("docs/measured/networks.md")
 LARGEST, RMS = "max beyond 2 h, mm", "rms beyond 2 h, mm"
 ELSEWHERE = "max beyond 2 h and 6 mm of the switches, mm"
 ENERGY = "strain energy, Pa mm2"

@@ -1,4 +1,4 @@
-"""docs/accuracy.md and its figure, from the kept results."""
+"""docs/measured/accuracy.md and its figure, from the kept results."""
 
 import json
 from pathlib import Path
@@ -130,14 +130,14 @@ NEAR_TIP = "the held lip ends 4 mm before the tip"
 
 
 def write_page(results: dict):
-    """Write docs/accuracy.md and the figure."""
+    """Write docs/measured/accuracy.md and the figure."""
     sections = [HEAD]
     if LIPS.exists():
         results = {**results, "lips": json.loads(LIPS.read_text())}
     sections.append(_marks(results))
     if any(problem in results for problem, _ in CURVES):
         _figure(results)
-        sections.append(f"![Errors over element size]({FIGURE})\n")
+        sections.append(f"![Errors over element size](../{FIGURE})\n")
     sections += [_convergence(TITLES[name], results[name]) for name in TITLES if name in results]
     for name, write in (
         ("e", _rigid),
@@ -153,7 +153,7 @@ def write_page(results: dict):
     ):
         if name in results:
             sections.append(write(results[name]))
-    (DOCS / "accuracy.md").write_text("\n".join(sections))
+    (DOCS / "measured/accuracy.md").write_text("\n".join(sections))
 
 
 def table(head, rows) -> str:

@@ -1,11 +1,11 @@
-"""docs/segmentation.md, from the kept results."""
+"""docs/measured/segmentation.md, from the kept results."""
 
 from pathlib import Path
 
 from benchmarks.verification.page import number, table
 from xfemnav import limits
 
-PAGE = Path("docs/segmentation.md")
+PAGE = Path("docs/measured/segmentation.md")
 RIGHT, GOOD = 0.90, 0.95  # Dice below which W206 should speak, and above which it should not
 
 TEXT = """# Segmentation

@@ -6,7 +6,8 @@ covers); and what must not be: crashes, readers that take over 10 s, uncaught ex
 than twice the memory, and other meanings in spite of a checksum. Exit status 1 where there is any of the latter.
 
 Without a FORMAT all are tried, 10,000 times, and kernels also in 100 fresh processes, which run them ("fresh"). --write
-keeps the counts in benchmarks/results/flips.json, from which `python -m tests.fuzz.page` writes docs/damage.md.
+keeps the counts in benchmarks/results/flips.json, from which `python -m tests.fuzz.page` writes
+docs/measured/damage.md.
 """
 
 import json

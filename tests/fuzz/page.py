@@ -1,4 +1,4 @@
-"""docs/damage.md from the kept counts: python -m tests.fuzz.page"""
+"""docs/measured/damage.md from the kept counts: python -m tests.fuzz.page"""
 
 import json
 from pathlib import Path
@@ -7,7 +7,7 @@ from tests.fuzz.flips import BAD, COUNT, FRESH, HEADER, RESULTS, SECONDS, SLACK_
 from tests.fuzz.intact import FORMATS, none, whole
 
 ROOT = Path(__file__).parents[2]
-PAGE, FUZZED = ROOT / "docs" / "damage.md", ROOT / "benchmarks" / "results" / "fuzz.json"
+PAGE, FUZZED = ROOT / "docs/measured/damage.md", ROOT / "benchmarks" / "results" / "fuzz.json"
 TEXT = """# Damaged files
 
 Written by `python -m tests.fuzz.page` from what the commands below have counted.
@@ -29,7 +29,7 @@ library warn, or took more than {times} times the memory of the sound file (and 
 *kernels* are compiled code, held against digests before it is loaded; *kernels, fresh*: a kernel is changed, and then a
 process runs them. *transform h5* is written for other programs: xfemnav reads none.
 
-What no reader can see is in [formats.md](formats.md#what-no-reader-can-see).
+What no reader can see is in [formats.md](../reference/formats.md#what-no-reader-can-see).
 
 ## Fuzzing
 

@@ -29,7 +29,7 @@ from xfemnav.mechanics.rules import Loads, Rules, Skull
 from xfemnav.mechanics.slivers import warn_of_slivers, warn_of_strips
 from xfemnav.mechanics.space import Space
 
-#: Above this ratio linear triangles lock in plane strain: at 0.49 the energy is 7.5 to 8.3 % off (docs/sensitivity.md).
+#: Above this ratio linear triangles lock in plane strain (how much: docs/measured/sensitivity.md).
 LOCKING_POISSON = 0.48
 
 

@@ -1,6 +1,6 @@
-"""The page of error codes, `docs/errors.md`, written from the table that the program itself uses.
+"""The page of error codes, `docs/reference/errors.md`, written from the table that the program itself uses.
 
-    python -m xfemnav.pipeline.errordocs > docs/errors.md
+    python -m xfemnav.pipeline.errordocs > docs/reference/errors.md
 """
 
 from xfemnav.errors import FAULTS, Fault

@@ -1,6 +1,6 @@
-"""The page of the scenario's keys, `docs/scenario.md`, written from the schema that checks scenarios.
+"""The page of the scenario's keys, `docs/reference/scenario.md`, written from the schema that checks scenarios.
 
-    python -m xfemnav.pipeline.scenariodocs > docs/scenario.md
+    python -m xfemnav.pipeline.scenariodocs > docs/reference/scenario.md
 """
 
 from xfemnav.naming import said
@@ -18,7 +18,7 @@ A scenario is a TOML file with the settings of one run: `xfemnav run` with ⟦sc
 Paths are relative to the file and stay in its folder, so that a scenario from elsewhere reads no file of yours (E781);
 `allow_outside` lifts that. Lengths are mm, stiffnesses kPa, forces mN per mm of thickness.
 Every run writes its scenario, defaults filled in, as `scenario.toml` among its [outputs](outputs.md).
-An example is in [worked-case.md](worked-case.md).
+An example is in [worked-case.md](../use/worked-case.md).
 
 On the command line, ⟦cut⟧, ⟦markup⟧, ⟦left⟧, ⟦right⟧, ⟦lip_force⟧, ⟦opening_mm⟧, ⟦blade⟧ and ⟦internal⟧
 say what `[[cut]]` and `[[retract]]` say here. A ⟦cut⟧ takes the place of all cuts of the scenario and of what held
