@@ -221,7 +221,7 @@ def test_tip_functions_reach_the_skull_across_the_organ():
 
 
 @pytest.mark.parametrize("place, fails", [
-    ("incision.incise", OutOfReach), ("live_motion.LiveMotion", KeyboardInterrupt), ("incision.incise", MemoryError)])
+    ("incision.incise", OutOfReach), ("live_cut.lip_modes", KeyboardInterrupt), ("incision.incise", MemoryError)])
 def test_whatever_fails_leaves_the_cut_before(monkeypatch, place, fails):
     session = Session(distmesh(domains.disc(70.0), 6.0), corridor=[[0, 75], [0, 30]])
     session.cut([[0, 75], [0, 30]])

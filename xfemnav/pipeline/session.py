@@ -4,7 +4,7 @@ It is for whoever holds a tracked instrument: each of its poses moves the cut or
 image and forces. The answers are those of a run with the same cut and lips, to rounding.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import TYPE_CHECKING, Unpack
@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xfemnav.errors import XfemnavError, warn
-from xfemnav.mechanics.rules import BLADE
 from xfemnav.pipeline.config import configure
 from xfemnav.pipeline.flags import AnyPath, Drawn, Flags, numbers
 from xfemnav.pipeline.kernels import settle_kernel_cache, spare_the_run
@@ -24,6 +23,9 @@ if TYPE_CHECKING:
     from xfemnav.geometry.mesh import Mesh
     from xfemnav.geometry.motion import Motion
     from xfemnav.imaging.slices import Slice
+    from xfemnav.imaging.warp import PullBack
+    from xfemnav.mechanics.condensation import Condensation
+    from xfemnav.mechanics.live_cut import LiveCut
     from xfemnav.mechanics.solution import RetractorForce
 
 NAME = "cut"
@@ -31,6 +33,17 @@ INTERP, OUTSIDE = ("linear", "cubic", "nearest"), ("keep", "zero")
 #: What a session cannot do, by the name of the setting, and the value that it must have.
 ONLY = {"resections": (), "skull.gap_mm": 0.0, "skull.arcs": (), "skull.measured": None, "loads.gravity": None,
         "loads.pressures": (), "rules.model": "linear", "rules.loose": "refuse"}
+
+
+@dataclass(frozen=True, eq=False)
+class _Now:
+    """What a session answers from, swapped whole: the cut, the path (k, 2 or 3) mm that it was drawn by, what its lips
+    were asked to do, and the pull-back of the image, once it was asked for."""
+
+    live: "LiveCut"
+    drawn: np.ndarray | None = None
+    asked: tuple[dict, tuple[float, float] | None] = field(default_factory=lambda: ({}, None))
+    pulled: "PullBack | None" = None
 
 
 class Session:
@@ -66,6 +79,8 @@ class Session:
 
         settle_kernel_cache()  # before kernels are imported
         spare_the_run()
+        from xfemnav.mechanics.live_cut import LiveCut
+
         if corridor is not None and "cut" in flags:
             raise XfemnavError("E780", "corridor and cut both say where cuts are planned: give the corridor alone.")
         if not (isinstance(reach_mm, int | float) and 0 < reach_mm < np.inf):
@@ -78,13 +93,12 @@ class Session:
         self._settings, self._warp, self.reach_mm = config.constrain, config.warp, reach_mm
         _refuse(config)
         self.frame, self.mesh, self._material, self._border, plan = _prepared(config, organ)
-        self._condense(self._placed(plan))
-        self._incision = self._drawn = self._asked = None
+        self._now = _Now(LiveCut.at_rest(self._condensed(self._placed(plan))))
 
     def __repr__(self) -> str:
-        if self._drawn is None:
+        if self._now.drawn is None:
             return f"<xfemnav.Session: {len(self.mesh.points)} nodes, uncut>"
-        mouth, tip = (", ".join(f"{x:.1f}" for x in point) for point in self._drawn[[0, -1]])
+        mouth, tip = (", ".join(f"{x:.1f}" for x in point) for point in self._now.drawn[[0, -1]])
         moved = np.linalg.norm(self.nodes, axis=1).max()
         cut = f"cut from ({mouth}) to ({tip}), moved by {moved:.2f} mm"
         return f"<xfemnav.Session: {len(self.mesh.points)} nodes, {cut}>"
@@ -95,18 +109,14 @@ class Session:
         Raises what a run would of the cut (E301 to E305), and E314 when it goes right through; then the cut before
         stays.
         """
-        before = dict(self.__dict__)
-        try:
-            self._cut(path)
-        except BaseException:  # all is as it was
-            self.__dict__.clear()
-            self.__dict__.update(before)
-            raise
+        cut = self._incised(self._placed(self._plane(path)))
+        live = cut.moved(*self._now.asked, self._settings.rules.lips, at_once=True)
+        self._now = _Now(live, self._rows(path), self._now.asked)
 
     def extend_cut(self, point: ArrayLike) -> None:
         """Lengthen the cut to a point."""
         self._refuse_uncut()
-        self.cut(np.vstack([self._drawn, self._rows(point)]))
+        self.cut(np.vstack([self._now.drawn, self._rows(point)]))
 
     def open(self, left: ArrayLike | None = None, right: ArrayLike | None = None, *,
              blade: tuple[float, float] | None = None) -> None:
@@ -119,8 +129,8 @@ class Session:
         self._refuse_uncut()
         moves = {side: _move(move) for side, move in ((1, left), (-1, right)) if move is not None}
         asked = moves, None if blade is None else tuple(blade)
-        self._move(*asked, at_once=False)
-        self._asked = asked
+        live = self._now.live.moved(*asked, self._settings.rules.lips, at_once=False)
+        self._now = _Now(live, self._now.drawn, asked)
 
     def displacement(self, points: ArrayLike, side: Side = None) -> np.ndarray:
         """Displacement, mm, of the tissue that was at `points`."""
@@ -128,7 +138,7 @@ class Session:
 
     def to_current(self, points: ArrayLike, side: Side = None) -> np.ndarray:
         """Where the tissue that was at `points` in the preoperative image is now."""
-        return self._mapped(points, lambda plane: self._motion.to_current(plane, side_number(side)))
+        return self._mapped(points, lambda plane: self._now.live.motion.to_current(plane, side_number(side)))
 
     def to_preoperative(self, points: ArrayLike) -> np.ndarray:
         """Where the tissue that is now at `points` was in the preoperative image."""
@@ -137,19 +147,19 @@ class Session:
     @property
     def motion(self) -> "Motion":
         """The map of the tissue, in plane coordinates: a Motion, as that of a run."""
-        return self._motion.all
+        return self._now.live.motion.all
 
     @property
     def nodes(self) -> np.ndarray:
         """Displacements (n, 2) mm, plane frame, of the nodes of `mesh`."""
-        return self._motion.U
+        return self._now.live.motion.U
 
     @property
     def inverted_mm2(self) -> float:
         """Area of tissue, mm^2, that is turned inside out: above 1 the result is not to be trusted (E401)."""
         from xfemnav.pipeline.stage_solve import inverted_area
 
-        return inverted_area(self._soup.rest, self._motion.moved)
+        return inverted_area(self._now.live.soup.rest, self._now.live.motion.moved)
 
     def image(self, values: ArrayLike | None = None, *, interp: str | None = None, outside: str | None = None,
               fill: float | None = None) -> np.ndarray:
@@ -166,19 +176,20 @@ class Session:
             raise XfemnavError("E130", f"the companion has {values.shape} pixels and the slice "
                                        f"{self.frame.values.shape}; give it on the slice's grid, along e1 and e2.")
         grid = self.frame.origin, self.frame.spacing, self.frame.values.shape
-        if self._pulled is None:
-            self._pulled = pull_back(self._soup.rest, self._motion.moved, *grid)
+        live = self._now.live
+        if self._now.pulled is None:
+            self._now = replace(self._now, pulled=pull_back(live.soup.rest, live.motion.moved, *grid))
         own = self._warp
         how = [own.interp if interp is None else interp, own.outside if outside is None else outside]
         if how[0] not in INTERP or how[1] not in OUTSIDE:
             raise XfemnavError("E780", f"interp {how[0]!r}, outside {how[1]!r}: wanted one of {', '.join(INTERP)}, and "
                                        f"one of {', '.join(OUTSIDE)}.")
         blank = asked_blank(values, self._at_rest, *how, own.fill if fill is None else fill)
-        return update(values, *grid[:2], self._at_rest, self._pulled, *how, blank).updated
+        return update(values, *grid[:2], self._at_rest, self._now.pulled, *how, blank).updated
 
     def forces(self) -> "dict[str, RetractorForce]":
         """What each blade does: {"left": RetractorForce, ...}, mN per mm of thickness, kPa."""
-        return dict(self._forces)
+        return {name: self._now.live.forces[side] for name, side in SIDES.items() if side in self._now.live.forces}
 
     @cached_property
     def _at_rest(self):
@@ -187,87 +198,45 @@ class Session:
 
         return covered(self.mesh.corners, self.frame.origin, self.frame.spacing, self.frame.values.shape)
 
-    def _cut(self, path) -> None:
+    def _incised(self, placed) -> "LiveCut":
+        """The organ with a cut in it, condensed anew where that is out of reach."""
         from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
-        from xfemnav.mechanics.live_motion import Soup
+        from xfemnav.mechanics.live_cut import LiveCut
 
-        placed, how = self._placed(self._plane(path)), self._settings.rules.basis
+        organ, how = self._now.live.soup.organ, self._settings.rules.basis
         try:
             try:
-                incision = incise(self._organ, (placed,), how)
+                incision = incise(organ, (placed,), how)
             except OutOfReach:
                 warn("W315", "the cut has left the session's corridor, and the organ is condensed anew about it.")
-                self._condense(placed)
-                incision = incise(self._organ, (placed,), how)
+                organ = self._condensed(placed)
+                incision = incise(organ, (placed,), how)
         except OutOfReach:
             raise XfemnavError("E780", f"cut '{NAME}' changes tissue that the skull holds far from it, which a session "
                                        "cannot do; use smaller elements there, or make a run of it.") from None
         except CutThrough:
             raise XfemnavError("E314", f"cut '{NAME}' goes right through the tissue, which a session cannot do; let it "
                                        "end inside, or make a run of it.") from None
-        self._incision, self._soup = incision, Soup(self._organ, incision)
-        self._modes, self._drawn = {}, self._rows(path)
-        self._move(*(self._asked or ({}, None)), at_once=True)
+        return LiveCut.at_rest(organ, incision)
 
-    def _move(self, moves: dict, blade: tuple[float, float] | None, at_once: bool) -> None:
-        """Put the lips where `moves` says; `at_once` for a cut that has not been opened yet: its modes come later."""
-        from xfemnav.mechanics.live_motion import LiveMotion
-
-        modes = self._modes_of(tuple(moves), blade)
-        amounts = np.concatenate([np.zeros(0), *([*move, 0.0] if len(move) == 2 else [0.0, 0.0, *move]
-                                                 for move in moves.values())])
-        if (opening := modes.opening(amounts)) < -1e-9:
-            raise XfemnavError("E405", f"left and right look swapped: the lips are pushed {-opening:.1f} mm into each "
-                                       "other; left is left when walking from the mouth to the tip.")
-        answer, pressing = modes.free(amounts), None
-        if self._settings.rules.lips.touch:
-            pressing = modes.pressing(amounts)
-        if pressing is not None:
-            answer += pressing
-        if at_once:
-            U, own = (field[..., 0] for field in modes.carried(answer.u[:, None]))
-        else:
-            U, own = (field @ amounts for field in modes.fields)
-            if pressing is not None:
-                U, own = (field + more[..., 0] for field, more in zip((U, own), modes.carried(pressing.u[:, None])))
-        self._motion, self._pulled = LiveMotion(self._soup, U, own), None
-        self._forces = _told(modes, answer)
-
-    def _modes_of(self, sides: tuple[int, ...], blade):
-        """Modes of blades on these lips, worked out when they are first asked for."""
-        from xfemnav.mechanics.lip_modes import lip_modes
-        from xfemnav.mechanics.lips import Retraction
-
-        key = sides, blade
-        if key not in self._modes:
-            held = tuple(Retraction(0, side, normal_mm=1.0, blade=blade or BLADE, blade_given=blade is not None)
-                         for side in sides)
-            self._modes[key] = lip_modes(self._incision, held, self._settings.rules.lips)
-        return self._modes[key]
-
-    def _condense(self, plan) -> None:
-        """Condense the organ about a planned cut, uncut and at rest."""
+    def _condensed(self, plan) -> "Condensation":
+        """The organ condensed about a planned cut, uncut and at rest."""
         from xfemnav.mechanics.condensation import condense, tip_reach
-        from xfemnav.mechanics.live_motion import LiveMotion, Soup
 
         settings, mouths = self._settings, plan.path[:1] if plan.mouth and plan.craniotomy else ()
         skull = replace(settings.skull, border=self._border)
         tips, radius = plan.path[-1:] if plan.mouth else plan.path[[0, -1]], 0.0
         if settings.rules.basis.geometric:
             radius = tip_reach(self.mesh, plan)
-        self._organ = condense(self.mesh, self._material, skull, plan.path, reach_mm=self.reach_mm, mouths=mouths,
-                               tips=tips, tip_radius_mm=radius)
-        self._soup = Soup(self._organ)
-        self._motion, self._pulled, self._forces = LiveMotion(
-            self._soup, np.zeros((len(self.mesh.points), 2)), np.empty((0, 2))), None, {}
+        return condense(self.mesh, self._material, skull, plan.path, reach_mm=self.reach_mm, mouths=mouths,
+                        tips=tips, tip_radius_mm=radius)
 
     def _placed(self, path):
         """The cut inside the organ, with its mouth."""
         from xfemnav.geometry.cut import place_cut
 
         drawn = self._settings.cuts[0]
-        outline = self.mesh.outline
-        return place_cut(path, outline, drawn.name, internal=drawn.internal, craniotomy=drawn.craniotomy)
+        return place_cut(path, self.mesh.outline, drawn.name, internal=drawn.internal, craniotomy=drawn.craniotomy)
 
     def _rows(self, points) -> np.ndarray:
         """Points as rows of numbers, plane (n, 2) or world (n, 3) mm."""
@@ -299,7 +268,7 @@ class Session:
         return (self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]).reshape(shape)
 
     def _refuse_uncut(self) -> None:
-        if self._incision is None:
+        if self._now.drawn is None:
             raise XfemnavError("E780", "the organ is not cut yet: give a path to Session.cut first.")
 
 
@@ -352,12 +321,3 @@ def _prepared(config, organ):
         inputs.values["mesh"] = organ = stage_mesh.compute(config.mesh, inputs)
         plan = plane_points(slice, plan, drawn.space)
     return slice, organ, stage_constrain.tissue(params, organ, inputs), border, plan
-
-
-def _told(modes, answer) -> dict:
-    """The force of each blade by the name of its lip."""
-    from xfemnav.mechanics.solution import RetractorForce
-
-    names = {side: name for name, side in SIDES.items()}
-    return {names[blade.side]: RetractorForce(blade.cut, blade.side, tuple(force.tolist()), float(push / length))
-            for blade, force, push, length in zip(modes.blades, answer.force, answer.push, modes.lengths)}
