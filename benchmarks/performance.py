@@ -8,14 +8,11 @@ that none warms another's memory; results are kept in benchmarks/results, and th
 
 import ast
 import json
-import os
-import platform
 import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from benchmarks.timing import RESULTS, processor, table
+from benchmarks.timing import RESULTS, table
 
 PAGE = Path("docs/measured/performance.md")
 TITLES = {
@@ -28,19 +25,16 @@ TITLES = {
     "runs": "Whole runs",
     "batch": "A batch",
 }
-LIBRARIES = ("numpy", "scipy", "numba", "SimpleITK", "nibabel", "matplotlib", "shapely", "gmsh", "scikit-fem",
-             "scikit-sparse", "distmeshpy")
 IMPORTS = ("most of what is beyond are imports of libraries (numba, scipy, nibabel, pydantic, SimpleITK, meshio), "
            "which are better than anything of our own that would load faster")
 #: Why a mark is missed, by the beginning of its name.
 REASONS = {
-    "assembly: time over numpy's": "numpy's own way takes .7 to 1 us an element here, where 3 to 5 were reckoned with",
-    "assembly: time over scikit-fem's": "scikit-fem takes 3 to 8 us an element here, where 17 to 35 were reckoned "
-    "with; met from 20k nodes on",
+    "assembly: time over numpy's": "numpy's own way takes less an element than the mark reckoned with",
+    "assembly: time over scikit-fem's": "scikit-fem takes less an element than the mark reckoned with",
     "solve: time over splu's default": "an order by minimum degree",
-    "solve: with CHOLMOD": "its order and the check for rigid motions weigh more in small systems; met at 80k nodes",
+    "solve: with CHOLMOD": "its order and the check for rigid motions weigh more in small systems",
     "solve: growth": "an order by minimum degree fills ever more; CHOLMOD keeps the mark by its dense blocks",
-    "warp: map and one image over SimpleITK's": "two thirds of it are the map, which SimpleITK is given",
+    "warp: map and one image over SimpleITK's": "most of it is the map, which SimpleITK is given",
     "run: a mask given, no report, cold": IMPORTS,
     "run: segmentation": IMPORTS,
     "live: a moved cut": "dense algebra, the backsolve to the whole organ, and conditions of lips, contact and skull; "
@@ -56,18 +50,6 @@ a shared machine. What is compared ran in turns in one process, and medians are 
 seconds. Peers that are not installed are left out.
 
 """
-
-
-def machine() -> str:
-    """Kind of machine, and versions of what was measured."""
-    found = []
-    for name in LIBRARIES:
-        try:
-            found.append(f"{name} {version(name)}")
-        except PackageNotFoundError:
-            found.append(f"{name} absent")
-    return (f"Measured on {os.cpu_count()} cores of {processor()}, {platform.system()}, Python "
-            f"{platform.python_version()}; {', '.join(found)}.\n\n")
 
 
 def judged(marks) -> str:
@@ -87,7 +69,9 @@ def write_page() -> None:
     """docs/measured/performance.md from what is kept."""
     found = {name: json.loads((RESULTS / f"{name}.json").read_text())
              for name in TITLES if (RESULTS / f"{name}.json").exists()}
-    text = PREFACE + machine() + "## The marks\n\n" + judged([m for part in found.values() for m in part["marks"]])
+    machines = dict.fromkeys(part["machine"] for part in found.values())
+    marks = [mark for part in found.values() for mark in part["marks"]]
+    text = PREFACE + "\n".join(machines) + "\n\n## The marks\n\n" + judged(marks)
     for name, part in found.items():
         text += f"\n## {TITLES[name]}\n\n{_about(name)}\n\n"
         if name == "accuracy_time":

@@ -10,6 +10,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from statistics import median
 from time import process_time
@@ -18,6 +19,8 @@ from xfemnav.pipeline.kernels import settle_kernel_cache
 
 settle_kernel_cache()  # or numba would take kernels of other code for ours
 RESULTS = Path("benchmarks/results")
+LIBRARIES = ("numpy", "scipy", "numba", "SimpleITK", "nibabel", "matplotlib", "shapely", "gmsh", "scikit-fem",
+             "scikit-sparse", "distmeshpy")
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before the libraries start their threads
     if os.environ.setdefault(name, "1") != "1":
         sys.exit(f"{name} must be 1: one thread is measured")
@@ -79,6 +82,18 @@ def processor() -> str:
         return platform.machine()
 
 
+def machine() -> str:
+    """Kind of machine, and versions of what is measured."""
+    found = []
+    for name in LIBRARIES:
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            found.append(f"{name} absent")
+    return (f"Measured on {os.cpu_count()} cores of {processor()}, {platform.system()}, Python "
+            f"{platform.python_version()}; {', '.join(found)}.")
+
+
 def table(head: tuple[str, ...], rows) -> str:
     """A Markdown table; numbers with three digits."""
     lines = [head, ["---"] * len(head), *rows]
@@ -97,7 +112,8 @@ def mark(name: str, limit: float, measured: float) -> dict:
 
 
 def keep(name: str, text: str, marks: list[dict]) -> None:
-    """Print the text, and keep it with its marks for docs/measured/performance.md."""
+    """Print the text, and keep it with its marks and the machine for docs/measured/performance.md."""
     print(text)
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / f"{name}.json").write_text(json.dumps({"text": text, "marks": marks}, indent=1) + "\n")
+    kept = {"machine": machine(), "text": text, "marks": marks}
+    (RESULTS / f"{name}.json").write_text(json.dumps(kept, indent=1) + "\n")

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -57,6 +58,25 @@ def blocks(page: str, language: str) -> list[str]:
 def test_written_pages_are_those_of_the_program(name, writer):
     again = f"write it again: python -m {writer.__name__} > docs/reference/{name}.md"
     assert (ROOT / f"docs/reference/{name}.md").read_text() == writer.page(), again
+
+
+MEASURED = ("accuracy", "networks", "finite_strain", "sensitivity", "segmentation", "performance")
+
+
+@pytest.mark.parametrize("name", [*(f"benchmarks.{name}" for name in MEASURED), "tests.fuzz.page"])
+def test_measured_pages_say_what_is_kept(name, tmp_path):
+    """Written again from the kept results, a page is as it stands; and it says which command measured it."""
+    if name != "tests.fuzz.page":
+        pytest.importorskip("gmsh")
+    for folder in ("benchmarks", "tests"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in ("measured", "figures"):
+        (tmp_path / "docs" / folder).mkdir(parents=True)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-m", name, "--page"], cwd=tmp_path, env=environment, check=True)
+    page, = (tmp_path / "docs/measured").iterdir()
+    assert page.read_text() == (ROOT / "docs/measured" / page.name).read_text()
+    assert f"`python -m {name}`" in page.read_text()
 
 
 def test_every_key_of_a_scenario_is_explained():

@@ -10,9 +10,7 @@ LARGEST, RMS = "max beyond 2 h, mm", "rms beyond 2 h, mm"
 ELSEWHERE = "max beyond 2 h and 6 mm of the switches, mm"
 ENERGY = "strain energy, Pa mm2"
 # Why a mark is not met, printed where it is not.
-FREE_TIP = (
-    "in some meshes, half a millimetre from a free tip, where the elements are .2 mm; geometric tip functions meet it"
-)
+FREE_TIP = "in some meshes, beside a free tip"
 
 TEXT = """# Networks of cuts
 
