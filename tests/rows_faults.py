@@ -99,12 +99,12 @@ def signal_in_a_callback(folder):
     class Thing:
         """Something that goes."""
 
-    def facts(value, inputs):
+    def facts(value, params, inputs):
         thing = Thing()
         reference = weakref.ref(thing, lambda _: os.kill(os.getpid(), signal.SIGTERM))
         del thing
         assert reference() is None
-        return real(value, inputs)
+        return real(value, params, inputs)
 
     real = stage_mesh.facts
     write(folder / "head.nii.gz")

@@ -242,9 +242,9 @@ def test_input_that_changes_under_way_is_refused_and_nothing_of_it_is_kept(home,
 
     of_segment = stage_segment.facts
 
-    def overwrites(value, inputs):
+    def overwrites(value, params, inputs):
         shutil.copy(later, image)
-        return of_segment(value, inputs)
+        return of_segment(value, params, inputs)
 
     monkeypatch.setattr(stage_segment, "facts", overwrites)
     code, _, stderr = xfemnav(capfd, *command, "--force")

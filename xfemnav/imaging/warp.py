@@ -80,21 +80,20 @@ class PullBack:
 
 @dataclass(frozen=True, eq=False)
 class Update:
-    """An updated image: `updated` (n1, n2), its `cavity` and `vacated` (n1, n2) bool, and the `pull_back` that made it.
+    """An updated image: `updated` (n1, n2), its `cavity`, `vacated` and `overlap` (n1, n2) bool, and what made it: the
+    `pull_back`, and the `fill` of pixels without tissue.
 
-    No tissue is left in either: the cavity lies inside the organ as it is now, the vacated pixels outside of it.
-    `updated` is float32, or of the image's own type when its values were taken by nearest neighbour.
+    No tissue is left in cavity and vacated pixels: the cavity lies inside the organ as it is now, the vacated ones
+    outside of it. In those of the overlap lies tissue of two places. `updated` is float32, or of the image's own type
+    when its values were taken by nearest neighbour.
     """
 
     updated: np.ndarray
     cavity: np.ndarray
     vacated: np.ndarray
+    overlap: np.ndarray
+    fill: float
     pull_back: PullBack
-
-    @property
-    def overlap(self) -> np.ndarray:
-        """Pixels (n1, n2) with more than one piece of tissue in them."""
-        return self.pull_back.overlap
 
     @property
     def field(self) -> np.ndarray:
@@ -160,7 +159,7 @@ def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "l
     np.copyto(updated, dtype.type(fill), where=empty)
     cavity, vacated = (empty, np.zeros_like(empty)) if now is None else (empty & now, empty & ~now)
     sample_into(updated, values, origin, spacing, pull_back.resting, interp)
-    return Update(updated, cavity, vacated, pull_back)
+    return Update(updated, cavity, vacated, pull_back.overlap, float(fill), pull_back)
 
 
 def sample_into(out, values, origin, spacing, points, interp) -> None:

@@ -166,7 +166,7 @@ class Chain:
                 checkpoint()
                 value = stage.code.compute(params, self.inputs)
                 checkpoint()
-                facts = stage.code.facts(value, self.inputs)
+                facts = stage.code.facts(value, params, self.inputs)
             if value is not None and stage.kept:
                 from xfemnav.pipeline.store import save
 
@@ -177,7 +177,7 @@ class Chain:
                     raise changed(self.inputs.files[role])
             (folder / "public").mkdir()
             with recorded() as later:
-                stage.code.publish(value, self.inputs, folder / "public")
+                stage.code.publish(value, params, self.inputs, folder / "public")
             write_facts(folder, facts, [*caught, *(item for item in later if item not in caught)])
 
         start = time.perf_counter()

@@ -15,9 +15,9 @@ class Stage:
     """One stage, and what its key must know: the layers and libraries that it reaches, and what it reads.
 
     `needs` are earlier stages; `files` are roles of input files, without the part after a colon. The module `code` has
-    `compute(params, inputs)`, which gives the value, `facts(value, inputs)`, its numbers for run.json, and
-    `publish(value, inputs, folder)`, which writes files named by role; `line(facts)` says the key figure in a word.
-    The value of a stage that is not `kept` is for its own files alone.
+    `compute(params, inputs)`, which gives the value and keeps in it what the others need, `facts(value, params,
+    inputs)`, its numbers for run.json, and `publish(value, params, inputs, folder)`, which writes files named by role;
+    `line(facts)` says the key figure in a word. The value of a stage that is not `kept` is for its own files alone.
     """
 
     name: str

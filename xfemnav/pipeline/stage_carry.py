@@ -3,30 +3,27 @@
 No later stage reads its value, so that is written as files and not kept beside them.
 """
 
+from typing import NamedTuple
+
 from xfemnav.interruption import checkpoint
 
 
 def compute(params, inputs):
-    """What comes of each file after the motion, by its number: an image, streamlines or a surface; landmarks are files
-    alone."""
-    make, found = {"streamlines": _streamlines, "surfaces": _surface}, {}
-    for number, item in enumerate(params.companions):
+    """What comes of each file after the motion, in their order: an image, landmarks, streamlines or a surface."""
+    make, found = {"points": _landmarks, "streamlines": _streamlines, "surfaces": _surface}, []
+    for item in params.companions:
         checkpoint()
-        if item.kind != "points":
-            found[number] = make.get(item.kind, _carried)(item, params, inputs)
+        found.append(make.get(item.kind, _carried)(item, params, inputs))
     return found
 
 
-def facts(value, inputs):
+def facts(value, params, inputs):
     """What run.json says of the stage: what became of landmarks and surfaces; and the sidecars of the images."""
-    items = inputs.config.carry.companions
-    landmarks = [item for item in items if item.kind == "points"]
-    for item in landmarks:
-        _warn_of_places(item, inputs)
-    tables = {"points": [_moved(item, inputs)[1] for item in landmarks],
-              "surfaces": [{"file": inputs.files[item.role].name} | value[number].table
-                           for number, item in enumerate(items) if item.kind == "surfaces"]}
-    sidecars = {f"carry-{number}": made.extra for number, made in value.items() if items[number].kind not in FILES}
+    tables = {kind: [{"file": inputs.files[item.role].name} | made.table
+                     for item, made in zip(params.companions, value) if item.kind == kind]
+              for kind in ("points", "surfaces")}
+    sidecars = {f"carry-{number}": made.extra for number, (item, made) in enumerate(zip(params.companions, value))
+                if item.kind not in FILES}
     return {"sidecars": sidecars} | {what: rows for what, rows in tables.items() if rows}
 
 
@@ -40,16 +37,16 @@ def line(found):
     return "; ".join(told)
 
 
-def publish(value, inputs, folder):
+def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`: carry-<number>, with what it is where there are several."""
     from xfemnav.pipeline.files import write_nifti
 
-    for number, item in enumerate(inputs.config.carry.companions):
+    for number, (item, made) in enumerate(zip(params.companions, value)):
         checkpoint()
         if item.kind in FILES:
-            FILES[item.kind](item, inputs, folder, f"carry-{number}", value.get(number))
+            FILES[item.kind](item, inputs, folder, f"carry-{number}", made)
         else:
-            write_nifti(folder / f"carry-{number}.nii.gz", value[number])
+            write_nifti(folder / f"carry-{number}.nii.gz", made)
 
 
 def _carried(item, params, inputs):
@@ -61,15 +58,14 @@ def _carried(item, params, inputs):
                  outside=params.outside, fill=params.fill, axes=item.axes, order=item.order)
 
 
-def _write_points(item, inputs, folder, name, _):
+def _write_points(item, inputs, folder, name, moved):
     from xfemnav.imaging.markups import write_markups
     from xfemnav.imaging.point_files import write_points
 
-    moved, _ = _moved(item, inputs)
     ending = point_ending(inputs.files[item.role])
-    write_points(folder / f"{name}{ending}", moved)
+    write_points(folder / f"{name}{ending}", moved.points)
     if ending != ".mrk.json":
-        write_markups(folder / f"{name}-markups.mrk.json", [moved])
+        write_markups(folder / f"{name}-markups.mrk.json", [moved.points])
 
 
 def ending(kind, path):
@@ -88,17 +84,25 @@ def point_ending(path):
     return ".mrk.json" if ending == ".json" else ending
 
 
-def _moved(item, inputs):
-    """The landmarks of a file, those that have a place now, and what became of them."""
-    from xfemnav.imaging.landmarks import moved_points
+class Landmarks(NamedTuple):
+    """The `points` of a file of landmarks that have a place now, a PointSet, and what became of them all, in numbers.
+    """
+
+    points: object
+    table: dict
+
+
+def _landmarks(item, params, inputs):
+    from xfemnav.imaging.landmarks import moved_points, warn_of_points
     from xfemnav.imaging.point_files import read_points
 
-    slice, _ = inputs.value("segment")
-    found = read_points(inputs.files[item.role])
-    moved = moved_points(found.points, slice, inputs.value("solve").motion, inputs.value("mesh").corners)
-    table = {"file": inputs.files[item.role].name, "n": len(found.points)}
-    table |= {flag.replace(" ", "_"): moved.flag.count(flag) for flag in ("tissue", "on a cut", "resected", "outside")}
-    return placed(found, moved), table
+    (slice, _), mesh, path = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role]
+    found = read_points(path)
+    warn_of_points(found, path.name, slice, mesh.outline)
+    moved = moved_points(found.points, slice, inputs.value("solve").motion, mesh.corners)
+    flags = ("tissue", "on a cut", "resected", "outside")
+    table = {"n": len(found.points)} | {flag.replace(" ", "_"): moved.flag.count(flag) for flag in flags}
+    return Landmarks(placed(found, moved), table)
 
 
 def placed(found, moved, one_lip=False):
@@ -126,15 +130,6 @@ def placed(found, moved, one_lip=False):
                 kept.append(k)
     columns = {key: tuple(values[k] for k in kept) for key, values in found.columns.items()}
     return replace(found, points=np.array(rows).reshape(-1, 3), labels=tuple(labels), columns=columns)
-
-
-def _warn_of_places(item, inputs):
-    """W131 and W132 of a file of landmarks."""
-    from xfemnav.imaging.landmarks import warn_of_points
-    from xfemnav.imaging.point_files import read_points
-
-    (slice, _), mesh, path = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role]
-    warn_of_points(read_points(path), path.name, slice, mesh.outline)
 
 
 def _streamlines(item, params, inputs):

@@ -194,7 +194,7 @@ def _in_plane(skull, slice, space):
     return replace(skull, arcs=arcs, measured=motion)
 
 
-def facts(value, inputs):
+def facts(value, params, inputs):
     """What run.json says of the stage."""
     from xfemnav.pipeline.bearings import Bearings
 
@@ -212,5 +212,5 @@ def facts(value, inputs):
     }
 
 
-def publish(value, inputs, folder):
+def publish(value, params, inputs, folder):
     """The problem is no public file."""

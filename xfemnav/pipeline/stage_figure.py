@@ -5,15 +5,15 @@ def compute(params, inputs):
     """There is no value."""
 
 
-def facts(value, inputs):
+def facts(value, params, inputs):
     """What run.json says of the stage: nothing."""
     return {}
 
 
-def publish(value, inputs, folder):
+def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`."""
     from xfemnav.pipeline.figure import draw_figure
 
     slice, segmentation = inputs.value("segment")
     draw_figure(folder / "figure.png", slice, segmentation.mask, inputs.value("constrain"), inputs.value("solve"),
-                inputs.value("warp"), inputs.config.figure.display)
+                inputs.value("warp"), params.display)

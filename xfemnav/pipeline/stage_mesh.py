@@ -51,7 +51,7 @@ def _about_the_organ(mesh, inputs):
     return mesh
 
 
-def facts(value, inputs):
+def facts(value, params, inputs):
     """What run.json says of the stage."""
     return {"mesh": {
         "n_nodes": len(value.points), "n_cells": len(value.cells),
@@ -82,7 +82,7 @@ def _hausdorff(mesh, inputs) -> float:
     return float(np.maximum(farthest(one, other), farthest(other, one)))
 
 
-def publish(value, inputs, folder):
+def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`."""
     from xfemnav.pipeline.files import write_vtu
 

@@ -34,12 +34,12 @@ def compute(params, inputs) -> float | None:
     return largest_part(lambda part: _trusted(params, moved, part, inputs))
 
 
-def facts(value, inputs):
+def facts(value, params, inputs):
     """What the text of the error says."""
     return {"safe_part": value}
 
 
-def publish(value, inputs, folder):
+def publish(value, params, inputs, folder):
     """It has no files."""
 
 
@@ -178,7 +178,7 @@ def _is_trusted(k, inputs) -> bool:
 
     inputs.step = k
     (slice, _), problem, solution = (inputs.value(name) for name in ("segment", "constrain", "solve"))
-    pixel, found = float(slice.spacing.prod()), stage_solve.facts(solution, inputs)
+    pixel, found = float(slice.spacing.prod()), stage_solve.facts(solution, inputs.config.solve, inputs)
     if not is_trusted(found, pixel):
         return False
     motion = pull_back(solution.rest, solution.moved, slice.origin, slice.spacing, slice.values.shape)

@@ -17,7 +17,7 @@ def compute(params, inputs):
     return slice, segment(slice, method=params.method, mask=mask, skull=params.skull, volume=image, **templates)
 
 
-def facts(value, inputs):
+def facts(value, params, inputs):
     """What run.json says of the stage."""
     slice, segmentation = value
     frame = {name: getattr(slice, name).tolist() for name in ("origin", "spacing", "axes")}
@@ -27,7 +27,7 @@ def facts(value, inputs):
     return {"slice": frame, "segmentation": {"method": segmentation.method, "area_mm2": area}}
 
 
-def publish(value, inputs, folder):
+def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`."""
     from xfemnav.imaging.slices import to_nifti
     from xfemnav.pipeline.files import write_nifti

@@ -18,7 +18,7 @@ def compute(params, inputs):
     return solution
 
 
-def facts(value, inputs):
+def facts(value, params, inputs):
     """What run.json says of the stage."""
     from xfemnav.mechanics.measures import measure
 
@@ -83,7 +83,7 @@ def _held(problem, cut, span):
     return [round(min(float(end) / problem.cuts[cut].length, 1.0), 6) for end in span]
 
 
-def publish(value, inputs, folder):
+def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`."""
     from xfemnav.imaging.markups import write_markups
     from xfemnav.pipeline.files import write_soup

@@ -9,31 +9,27 @@ FEW, FINE, SHARE = 4, 13, 1 / 3
 
 
 def compute(params, inputs):
-    """The slice after the cut: an Update."""
-    from xfemnav.errors import warn
-    from xfemnav.imaging.background import blank_of
-    from xfemnav.imaging.warp import enclosed, pull_back, update
+    """The slice after the cut: an Update, without slivers in its overlap."""
+    from dataclasses import replace
 
-    slice, _ = inputs.value("segment")
-    solution, organ = inputs.value("solve"), _organ(inputs)
+    from xfemnav.errors import warn
+    from xfemnav.imaging.background import blank_of, warn_of_blank
+    from xfemnav.imaging.warp import covered, enclosed, pull_back, update
+
+    (slice, _), problem, solution = (inputs.value(name) for name in ("segment", "constrain", "solve"))
     grid = slice.origin, slice.spacing, slice.values.shape
+    organ = covered(inputs.value("mesh").corners, *grid)  # also of what is taken out
+    blank = blank_of(slice.values, organ, params.fill)
     motion = pull_back(solution.rest, solution.moved, *grid)
     updated = update(slice.values, *grid[:2], organ, motion, interp=params.interp, outside=params.outside,
-                     fill=blank_of(slice.values, organ, params.fill), now=enclosed(solution.outline, *grid))
-    twice = _twice(updated, inputs)
+                     fill=blank, now=enclosed(solution.outline, *grid))
+    twice = lying_twice(motion.overlap, slice, problem, solution)
     if twice.any():
         x, y = slice.pixel_centres()[twice].mean(axis=0)
         warn("W403", f"{twice.sum() * slice.spacing.prod():.3g} mm2 of tissue lie twice, about "
                      f"({x:.1f}, {y:.1f}) mm: a lip has moved through the other, or tissue has folded.")
-    return updated
-
-
-def _organ(inputs):
-    """Pixels (n1, n2) of the organ at rest, also of what is taken out."""
-    from xfemnav.imaging.warp import covered
-
-    slice, _ = inputs.value("segment")
-    return covered(inputs.value("mesh").corners, slice.origin, slice.spacing, slice.values.shape)
+    warn_of_blank(blank, slice.values[organ], "the image", given=params.fill is not None, outside=params.outside)
+    return replace(updated, overlap=twice)
 
 
 def lying_twice(overlap, slice, problem, solution):
@@ -66,28 +62,14 @@ def _is_wide(centre, solution) -> bool:
     return bool(found.overlap.mean() > SHARE)
 
 
-def _twice(value, inputs):
-    """Pixels (n1, n2) bool of an Update with tissue of two places in them."""
-    slice, _ = inputs.value("segment")
-    return lying_twice(value.overlap, slice, inputs.value("constrain"), inputs.value("solve"))
-
-
-def facts(value, inputs):
+def facts(value, params, inputs):
     """What run.json says of the stage, and the sidecar of the image."""
-    from xfemnav.imaging.background import blank_of, warn_of_blank
-
-    (slice, _), organ, params = inputs.value("segment"), _organ(inputs), inputs.config.warp
-    blank = blank_of(slice.values, organ, params.fill)
-    warn_of_blank(blank, slice.values[organ], "the image", given=params.fill is not None,
-                  outside=params.outside)
-    pixel = float(slice.spacing.prod())
-    return {"checks": {"cavity_mm2": float(value.cavity.sum()) * pixel,
-                       "vacated_mm2": float(value.vacated.sum()) * pixel,
-                       "overlap_mm2": float(_twice(value, inputs).sum()) * pixel},
-            "sidecars": {"updated": {"Fill": blank}}}
+    pixel = float(inputs.value("segment")[0].spacing.prod())
+    checks = {f"{name}_mm2": float(getattr(value, name).sum()) * pixel for name in ("cavity", "vacated", "overlap")}
+    return {"checks": checks, "sidecars": {"updated": {"Fill": value.fill}}}
 
 
-def publish(value, inputs, folder):
+def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`."""
     import numpy as np
 
@@ -101,10 +83,10 @@ def publish(value, inputs, folder):
     lips = lip_labels(value.pull_back, value.cavity, solution.rest, problem.parts.paths)
     write_nifti(folder / "updated.nii.gz", to_nifti(slice, value.updated, np.float32))
     write_nifti(folder / "cavity.nii.gz", to_nifti(slice, value.cavity, np.uint8))
-    write_nifti(folder / "overlap.nii.gz", to_nifti(slice, _twice(value, inputs), np.uint8))
+    write_nifti(folder / "overlap.nii.gz", to_nifti(slice, value.overlap, np.uint8))
     write_nifti(folder / "lips.nii.gz", to_nifti(slice, lips, np.uint8))
     write_nifti(folder / "field.nii.gz", vector_nifti(slice, value.field @ slice.axes[:2]))
-    _write_transforms(value.pull_back, inputs, folder, inputs.config.warp.transforms)
+    _write_transforms(value.pull_back, inputs, folder, params.transforms)
 
 
 def _write_transforms(motion, inputs, folder, which):
