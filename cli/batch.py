@@ -34,6 +34,7 @@ class Outcome:
 
     @property
     def result(self) -> str:
+        """One word: updated, untrusted or failed."""
         return {EXIT_OK: "updated", EXIT_UNTRUSTED: "untrusted"}.get(self.exit_code, "failed")
 
     def row(self) -> str:

@@ -20,6 +20,7 @@ class Number(click.ParamType):
     name = "float"
 
     def convert(self, value, param, ctx):
+        """The number; else a mistake that says how it is written."""
         try:
             return float(value)
         except (TypeError, ValueError):
@@ -36,6 +37,7 @@ class Command(click.Command):
     """A command that explains the words which it cannot read."""
 
     def parse_args(self, ctx, args):
+        """Read the words as click does; a UsageError of it that has a likely cause is told with that."""
         given = list(args)
         if told := _option_for_value(self, given):
             raise click.UsageError(told, ctx)

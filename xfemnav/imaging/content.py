@@ -154,9 +154,11 @@ class Forwards:
         self._kept, self._end, self._at, self._reads = bytearray(), 0, 0, 0
 
     def tell(self) -> int:
+        """The place that the next bytes are read from."""
         return self._at
 
     def seek(self, place: int, whence: int = 0) -> int:
+        """Go to `place`, from the start or (`whence` 1) from here; the new place. Nothing is read or checked yet."""
         self._at = place + (self._at if whence else 0)
         return self._at
 

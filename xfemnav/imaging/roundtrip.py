@@ -35,27 +35,33 @@ STATED = PointSet("Fiducial", "p", [[12.0, -34.0, 56.0]], ("one",))
 
 
 def check_nifti_nibabel(folder: Path) -> None:
+    """Volumes written by nibabel as NIfTI, in all orders, are read with every value in its place."""
     _images(folder, "a.nii.gz", lambda path, *stored: nibabel.save(_nifti(*stored), path))
 
 
 def check_nifti_itk(folder: Path) -> None:
+    """The same by SimpleITK's writer of NIfTI."""
     _images(folder, "b.nii.gz", _write_itk)
 
 
 def check_mgz(folder: Path) -> None:
+    """The same of nibabel's MGH, compressed."""
     _images(folder, "c.mgz", lambda path, values, affine: nibabel.save(
         nibabel.MGHImage(values.astype(np.float32), affine), path))
 
 
 def check_nrrd(folder: Path) -> None:
+    """The same of SimpleITK's NRRD."""
     _images(folder, "d.nrrd", _write_itk)
 
 
 def check_metaimage(folder: Path) -> None:
+    """The same of SimpleITK's MetaImage."""
     _images(folder, "e.mha", _write_itk)
 
 
 def check_dicom(folder: Path) -> None:
+    """The same of a DICOM series, whose values are whole numbers."""
     # Slices of a series lie along its normal: the orders whose first two axes are in the slice, right-handed or not.
     _images(folder, "dicom", _write_dicom, ROUNDED, ("RAS", "LPS", "oblique"))
 
@@ -138,6 +144,7 @@ def check_transform(folder: Path) -> None:
 
 
 def check_field_nrrd(folder: Path) -> None:
+    """Displacement fields in NRRD, by ITK's interpolation, take places where the motion does, both ways."""
     frame, motion, inner = _slice_and_motion()
     write_nrrd(folder / "f.nrrd", frame, backward(frame, motion.rest, motion), "resampling")
     _maps("resampling .nrrd", _read_field(folder / "f.nrrd"), OBLIQUE.now(inner), inner)
@@ -146,6 +153,7 @@ def check_field_nrrd(folder: Path) -> None:
 
 
 def check_field_nifti(folder: Path) -> None:
+    """The field of a run in NIfTI takes places of now to where their tissue rested."""
     frame, motion, inner = _slice_and_motion()
     nibabel.save(field_nifti(frame, backward(frame, motion.rest, motion)), folder / "f.nii.gz")
     _maps("field .nii.gz", _read_field(folder / "f.nii.gz"), OBLIQUE.now(inner), inner)
@@ -197,6 +205,7 @@ SYSTEM = '{"iEEGCoordinateSystem": "ScanRAS", "iEEGCoordinateUnits": "cm"}'
 
 
 def check_points(folder: Path) -> None:
+    """One point in every format of points, read where it is, and written with the signs that the format counts in."""
     (folder / "sub-1_coordsystem.json").write_text(SYSTEM)
     for name, text in READ.items():
         (folder / name).write_text(text)
@@ -211,6 +220,7 @@ def check_points(folder: Path) -> None:
 
 
 def check_landmarks(folder: Path) -> None:
+    """Landmarks off the slice move with it and back; one on the cut has a place on each lip."""
     frame, motion, inner = _slice_and_motion()
     there, off = OBLIQUE.world(inner), 2.0 * OBLIQUE.turn[:, 2]
     found = moved_points(there + off, frame, motion, motion.rest)
@@ -223,6 +233,7 @@ def check_landmarks(folder: Path) -> None:
 
 
 def check_streamlines(folder: Path) -> None:
+    """Streamlines of TRK and TCK move as their tissue, and are written for nibabel to read the same."""
     ends = np.array([[-12.0, -9.0], [-4.0, 8.0]])
     affine = np.array([[2.0, 0, 0, -90], [0, 2, 0, -126], [0, 0, 2, -72], [0, 0, 0, 1]])
     header = {"voxel_to_rasmm": affine, "dimensions": (91, 109, 91), "voxel_sizes": (2.0, 2.0, 2.0),

@@ -141,6 +141,7 @@ class _Reader:
         return values.reshape(n, width)
 
     def take_numbers(self, n: int, dtype) -> np.ndarray:
+        """The next `n` words as numbers (n,) of `dtype`. Raises ValueError where there are fewer, or a word is none."""
         if n > len(self.content) - self.at:
             raise ValueError(f"it has no {n} numbers more")
         found = WORD.finditer(self.content, self.at)

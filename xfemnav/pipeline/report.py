@@ -134,6 +134,7 @@ def template(name: str) -> Template:
 
 
 def embedded(png: bytes | None) -> str | None:
+    """A PNG as the base64 text of a data URL; None stays None."""
     return base64.b64encode(png).decode() if png else None
 
 
