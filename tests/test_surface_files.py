@@ -188,6 +188,17 @@ def test_what_cannot_be_is_refused():
             decoded_surface(content, name)
 
 
+@pytest.mark.parametrize("name, number", [
+    ("ascii/full.vtk", "POINTS 5 float"), ("ascii/full.vtk", "SCALARS curvature float"),
+    ("ascii/full.vtk", "NORMALS Normals float"), ("binary/lps.vtk", "OFFSETS vtktypeint64"),
+    ("binary/lps.vtk", "CONNECTIVITY vtktypeint64"), ("binary/lps.vtk", "POINTS 5 double")])
+def test_texts_where_numbers_belong_are_refused(name, number):
+    content, number = SEEDS[name], number.encode()
+    assert content.count(number) == 1
+    with pytest.raises(XfemnavError, match=r"E701.*array of type string"):
+        decoded_surface(content.replace(number, number.rpartition(b" ")[0] + b" string"), "a.vtk")
+
+
 def test_a_facet_that_does_not_end_takes_no_solid_with_it():
     """The lines of solids would be lost with it when the facet is written anew."""
     facet = b"facet normal 0 0 1\n outer loop\n"

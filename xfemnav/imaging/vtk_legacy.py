@@ -120,12 +120,12 @@ class _Reader:
             raise ValueError("it has no POINTS")
         return points, groups
 
-    def take(self, n: int, width: int, kind: str):
-        """The next array, (n, width); a list of texts where that is its kind."""
+    def take(self, n: int, width: int, kind: str, may_be_text: bool = False):
+        """The next array, (n, width); a list of texts where that may be, and is, its kind."""
         self.arrays += 1
         if n < 0 or not 0 < width < 1000 or self.arrays > ARRAYS:
             raise ValueError(f"an array of {n} rows of {width}")
-        if kind == "string":
+        if kind == "string" and may_be_text:
             return self.take_texts(n * width)
         if kind not in TYPES:
             raise Unknown(f"has an array of type {kind}, which is not read. Leave it out.")
@@ -213,7 +213,7 @@ class _Reader:
                 continue
             name, width, rows, kind = line.split()
             found.append((name.decode("latin-1"), line.split(),
-                          self.take(int(rows), int(width), kind.decode().lower())))
+                          self.take(int(rows), int(width), kind.decode().lower(), may_be_text=True)))
         return found
 
     def data(self, n_points: int, n_cells: int) -> dict[str, list[_Part]]:
