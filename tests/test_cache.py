@@ -9,9 +9,10 @@ import warnings
 import pytest
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.pipeline import disk
+from xfemnav.pipeline import disk, keys
 from xfemnav.pipeline.cache import TAG, TAGGED, Cache
 from xfemnav.pipeline.keys import PACKAGE, canonical, code_digest, digest
+from xfemnav.pipeline.stages import CARRY, FIGURE, SAFE, STAGES
 
 KEY = digest("toy")
 PAYLOAD = bytes(range(256)) * 8
@@ -297,3 +298,16 @@ def test_edited_code_changes_the_keys_of_the_layers_above_it(tmp_path):
         after = {layer: code_digest((layer,), tmp_path) for layer in layers}
         assert [layer for layer in layers if before[layer] != after[layer]] == expected
         before = after
+
+
+@pytest.mark.parametrize("stage", [*STAGES.values(), CARRY, FIGURE, SAFE], ids=lambda stage: stage.name)
+def test_another_version_of_a_library_is_another_key(stage, monkeypatch):
+    def key():
+        return keys.stage_key(stage.name, stage.layers, stage.libraries, {}, {})
+
+    before, real = key(), keys._installed
+    for library in stage.libraries:
+        monkeypatch.setattr(keys, "_installed", lambda name, new=library: "999" if name == new else real(name))
+        assert key() != before, library
+    monkeypatch.setattr(keys, "_installed", real)
+    assert key() == before and {"numpy", "scipy", "numba"} <= set(stage.libraries)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import take_slice
 from xfemnav.imaging.warp import pull_back
@@ -33,3 +34,16 @@ def test_a_strip_is_told_by_its_width(width, told, pixel):
     long = motion.overlap.sum() >= 4
     assert twice.any() == (told or long)
     assert (twice <= motion.overlap).all()
+
+
+@pytest.mark.parametrize("width, told", [(0.02, False), (0.11, False), (0.13, True), (1.0, True)])
+def test_a_sliver_between_lips_that_touch_is_none(width, told):
+    """Lips are kept apart in the mean: up to .06 mm beside a pixel's centre is that, more has gone through."""
+    frame = take_slice(Image(np.zeros((20, 20, 1)), np.eye(4), "float64", 1, "", "head"))
+    rest = np.concatenate([8 * SQUARE + (2, 6), 8 * SQUARE + (10, 6)])
+    moved = rest + np.repeat([[[width / 2, 0]], [[-width / 2, 0]]], 2, axis=0)
+    motion = Motion(rest, moved, (np.array([[10.0, 14.5], [10, 5.5]]),))
+    found = SimpleNamespace(rest=rest, moved=moved, motion=motion)
+    overlap = pull_back(rest, moved, frame.origin, frame.spacing, frame.values.shape).overlap
+    assert overlap.sum() == 7
+    assert lying_twice(overlap, frame, SimpleNamespace(cuts=("cut",)), found).any() == told

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.sparse import csr_array
 
 from tests.meshes import BRAIN, cut_in, jittered, outline, posed
 from tests.test_resection import box, circle
@@ -10,6 +11,7 @@ from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.resection import place_resection
 from xfemnav.imaging.warp import covered, enclosed, pull_back, update
 from xfemnav.mechanics import pieces
+from xfemnav.mechanics.constraints import vector_rows
 from xfemnav.mechanics.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.rules import Arc, Gravity, Skull
 from xfemnav.mechanics.solution import solve
@@ -227,3 +229,14 @@ def test_the_largest_piece_is_never_removed():
 def test_unknown_ways_with_loose_pieces_are_refused():
     with pytest.raises(ValueError, match="magic"):
         posed(MESH, (), BRAIN, SKULL, loose="magic")
+
+
+@pytest.mark.parametrize("lever, free", [(0.1, 0), (0.02, 0), (0.005, 1), (1e-4, 1)])
+def test_a_lever_under_a_hundredth_of_the_organ_holds_nothing(lever, free):
+    """Two points that are held so near to each other let it turn: what holds it by so little throws it about."""
+    space = posed(MESH, (), BRAIN, SKULL).space
+    size = np.sqrt(((MESH.points - MESH.points.mean(axis=0)) ** 2).sum(axis=1).mean())
+    points = np.array([[0, 0], [lever * size, 0]]) + MESH.corners[0].mean(axis=0)
+    held = vector_rows(space.basis_in(points, [0, 0]), np.zeros((2, 2)), 0)  # functions go on beyond their cell
+    motions = pieces.free_motions(space, held, csr_array((space.enrichment.n_dof,) * 2), space.enrichment.body[0])
+    assert motions.shape[1] == free

@@ -299,3 +299,10 @@ def test_mean_pressure_is_the_normal_traction_also_round_a_corner(lips):
     work = sum(force.mean_pressure_kPa for force in solution.retractor) * length * opening
     springs = solution.U.ravel() @ (problem.springs @ solution.U.ravel())
     assert work == pytest.approx(2 * solution.energy + springs, rel=1e-6)
+
+
+@pytest.mark.parametrize("cuts", [(), (CUT,)])
+def test_what_the_cut_costs_is_what_the_matrix_has_more(cuts):
+    found, plain = solve(posed(MESH, cuts, BRAIN, HARD_SKULL)), posed(MESH, (), BRAIN, HARD_SKULL)
+    assert found.added_nnz == found.nnz - stiffness(plain.space, BRAIN).nnz
+    assert (found.added_nnz > 0) == bool(cuts)
