@@ -202,7 +202,7 @@ def companions() -> None:
     targets = np.array(list(surgery.TARGETS.values()))
     name = {role: result.folder / path for role, path in result.record["outputs"].items()}
     rows = [row.split(",") for row in name["points"].read_text().splitlines()[1:]]
-    now = [(-float(row[0]), -float(row[1])) for row in rows], [row[-1] for row in rows]
+    now = [(float(row[0]), float(row[1])) for row in rows], [row[-1] for row in rows]
     tracts = surgery.fibres(), nib.streamlines.load(name["streamlines"]).streamlines
     labelled = updated(result, "companion:sub-mni_dseg")
     for panel, image, labels, lines, (points, words) in (
