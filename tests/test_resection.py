@@ -66,13 +66,14 @@ def test_what_is_drawn_is_taken_out_and_the_rest_is_closed(name, mesh):
     assert (split.walls.source == 0).all()
     centres = split.corners.mean(axis=1)
     deep = shapely.distance(placed.region.boundary, shapely.points(centres)) > 1e-2
-    assert (placed.contains(centres) == split.removed[split.part])[deep].all()
+    assert (shapely.contains_xy(placed.region, centres) == split.removed[split.part])[deep].all()
 
 
 def test_even_and_odd():
     """An island in a hole in a blob is taken out again; a loop drawn twice takes nothing."""
     placed = place_resection([circle(6, 5, r) for r in (3, 2, 1)], outline(MESH))
-    assert placed.contains([(6, 5), (7.5, 5), (8.5, 5), (9.5, 5)]).tolist() == [True, False, True, False]
+    inside = shapely.contains_xy(placed.region, [(6, 5), (7.5, 5), (8.5, 5), (9.5, 5)])
+    assert inside.tolist() == [True, False, True, False]
     refused("E311", [circle(6, 5, 2), circle(6, 5, 2)])
 
 

@@ -46,11 +46,6 @@ class Resection:
         """Area of the tissue taken out, mm^2."""
         return float(self.region.area)
 
-    def contains(self, points) -> np.ndarray:
-        """Whether each of the points (k, 2) mm lies inside the region: (k,) bool."""
-        points = np.asarray(points, float)
-        return shapely.contains_xy(self.region, points[:, 0], points[:, 1])
-
 
 def place_resection(rings, boundary, name: str = "resection", source: str = "", space: str = "ras") -> Resection:
     """Clip a drawn region to the organ.
