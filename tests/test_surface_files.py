@@ -199,6 +199,16 @@ def test_texts_where_numbers_belong_are_refused(name, number):
         decoded_surface(content.replace(number, number.rpartition(b" ")[0] + b" string"), "a.vtk")
 
 
+@pytest.mark.parametrize("line", [b"v 14 24 7 1 \\ ", b"f 1/1/1 2/1/1 3/\\/1"])
+def test_a_line_that_is_written_anew_does_not_go_on_in_the_next(line):
+    """A backslash that ends it once its blanks or normals are gone would take the next line along."""
+    text = b"\n".join([b"v 10 20 5", b"v 14 20 6", b"v 14 24 7", line, b"f 1 2 3", b"f 3 2 1", b""])
+    read = decoded_surface(text, "a.obj")
+    again = decoded_surface(read.written(read.points, np.ones(len(read.count), bool)), "a.obj")
+    assert_array_equal(again.corners, read.corners)
+    assert_array_equal(again.points, read.points)
+
+
 def test_a_facet_that_does_not_end_takes_no_solid_with_it():
     """The lines of solids would be lost with it when the facet is written anew."""
     facet = b"facet normal 0 0 1\n outer loop\n"

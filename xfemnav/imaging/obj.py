@@ -33,7 +33,8 @@ def decoded(content: bytes, name: str, limit: int) -> Form:
         told |= {k: _without_normals(lines[k]) if keep else None for k, keep in zip(face_at, kept)}
         told |= {k: None for k, first in enumerate(kind) if first == b"vn"}
         left = (told.get(k, line) for k, line in enumerate(lines))
-        return b"\n".join(line for line in left if line is not None)
+        # What ends in a backslash would go on in the next line.
+        return b"\n".join(line + b" " * line.endswith(b"\\") for line in left if line is not None)
 
     remarks = b"\n".join(line for line in lines if line.lstrip().startswith(b"#"))
     return Form(points, corners, count, rewritten, remarks)
