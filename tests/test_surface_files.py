@@ -209,6 +209,14 @@ def test_a_line_that_is_written_anew_does_not_go_on_in_the_next(line):
     assert_array_equal(again.points, read.points)
 
 
+@pytest.mark.parametrize("matrix", [b"1 2 3", b"1.0#0 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", b"nan"])
+def test_a_gifti_whose_matrix_of_coordinates_is_damaged_is_refused(matrix):
+    """Of the points or the faces: it is written back, which a broken one cannot be."""
+    for content in (re.sub(b"<MatrixData>[^<]*", b"<MatrixData>" + matrix, gii(), count=k) for k in (1, 2)):
+        with pytest.raises(XfemnavError, match=r"E701"):
+            decoded_surface(content, "a.gii")
+
+
 def test_a_facet_that_does_not_end_takes_no_solid_with_it():
     """The lines of solids would be lost with it when the facet is written anew."""
     facet = b"facet normal 0 0 1\n outer loop\n"

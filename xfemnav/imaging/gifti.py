@@ -39,6 +39,8 @@ def decoded(content: bytes, name: str, limit: int) -> Form:
             raise unreadable(name, f"holds {len(found[POINTS])} sets of points and {len(found[TRIANGLES])} of faces "
                                    "where one of each is a surface. Values alone (.shape.gii, .label.gii) stay as they "
                                    "are: points keep their order.")
+        if any(np.shape(array.coordsys.xform) != (4, 4) for array in image.darrays if array.coordsys is not None):
+            raise ValueError("a matrix of coordinates is not 4 x 4")
         pointset, triangles = found[POINTS][0], (found[TRIANGLES] or [None])[0]
         points = np.asarray(pointset.data, float).reshape(-1, 3)
         faces = np.zeros((0, 3), int) if triangles is None else np.asarray(triangles.data).reshape(-1, 3)
