@@ -1,14 +1,13 @@
 """A problem without its blades: where lips lie under all else that acts, from where blades' displacements may count."""
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.mesh import frozen_array
-from xfemnav.mechanics.constraints import Constraints, Contacts, Means, stack
+from xfemnav.mechanics.conditions import Conditions
+from xfemnav.mechanics.constraints import stack
 from xfemnav.mechanics.contact import join, lip_contacts
 from xfemnav.mechanics.outline import OutlineConditions, hung
 from xfemnav.mechanics.pieces import at_rest, sort_out
@@ -16,23 +15,7 @@ from xfemnav.mechanics.rules import LipRules
 from xfemnav.mechanics.space import Space
 
 
-@dataclass(frozen=True, eq=False)
-class Bare:
-    """What takes the place of a problem's fields of these names when no blade acts; `load` (n_dof,) mN."""
-
-    constraints: Constraints
-    springs: csr_array
-    load: np.ndarray
-    contacts: Contacts | None
-    hung: csr_array | None
-    means: Means | None
-
-    def __post_init__(self):
-        object.__setattr__(self, "springs", csr_array(self.springs))
-        object.__setattr__(self, "load", frozen_array(self.load, float, (self.springs.shape[0],), "load"))
-
-
-def without_blades(space: Space, cuts, resections, outline: OutlineConditions, load, rules: LipRules) -> Bare:
+def without_blades(space: Space, cuts, resections, outline: OutlineConditions, load, rules: LipRules) -> Conditions:
     """The conditions on the same basis without those of blades. Pieces that only blades hold stay at their mean.
 
     load (n_dof,) mN: that of weight and pressures. Raises XfemnavError E406 where blades alone hold the organ.
@@ -57,4 +40,4 @@ def without_blades(space: Space, cuts, resections, outline: OutlineConditions, l
     if rules.touch:
         touching.append(lip_contacts(space, (), np.empty((0, 2)), space.parts.removed | gone))
     contacts = join(touching, n_dof)
-    return Bare(conditions, springs, outline.load + load, contacts if len(contacts.gap) else None, weak, means)
+    return Conditions(conditions, springs, outline.load + load, contacts if len(contacts.gap) else None, weak, means)

@@ -14,13 +14,13 @@ from scipy.linalg import lapack
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.parts import Parts
-from xfemnav.geometry.subcells import embed
 from xfemnav.geometry.window import Window, window
 from xfemnav.mechanics.condensation import Condensation, chosen, with_rim
 from xfemnav.mechanics.constraints import Constraints
 from xfemnav.mechanics.elasticity import Material, plain_blocks, stiffness_of_parts
-from xfemnav.mechanics.enrichment import HEAVISIDE, Enrichment, enrich
+from xfemnav.mechanics.enrichment import HEAVISIDE, Enrichment
 from xfemnav.mechanics.outline import refuse_mouths, skull_conditions
+from xfemnav.mechanics.placing import functions_on, open_mouths, place
 from xfemnav.mechanics.reduction import blocks, inverse_roots, vector_tip_basis
 from xfemnav.mechanics.rules import Basis
 from xfemnav.mechanics.space import Space
@@ -115,7 +115,7 @@ def incise(organ: Condensation, cuts: tuple[Cut, ...], basis: Basis = Basis()) -
     space, part = _space(organ, cuts, basis)
     mesh, table, split = space.mesh, space.enrichment, space.parts
     material = _restricted(organ.material, part.cells)
-    mouths = np.array([path[0] for path, cut in zip(split.paths, cuts) if cut.mouth and cut.craniotomy]).reshape(-1, 2)
+    mouths = open_mouths(split, cuts)
     if not organ.reaches(mouths):
         raise OutOfReach
     outline = skull_conditions(space, organ.skull, mouths, material)
@@ -156,16 +156,15 @@ def _space(organ, cuts, basis):
     path = np.concatenate([cut.path for cut in cuts])
     live = organ.uncut.rim.parts[organ.live_facets]
     part = window(organ.mesh, path, radius, live)
-    split = embed(part.mesh, cuts)
-    split = with_rim(split, _live_rim(organ, part, split))
-    table = enrich(part.mesh, split, basis)
+    split = place(part.mesh, cuts)
+    space = functions_on(part.mesh, with_rim(split, _live_rim(organ, part, split)), basis)
+    table = space.enrichment
     # The pieces of a node on the border join outside of the window.
     spurious = (table.kind == HEAVISIDE) & part.border[table.node]
     own = np.where(spurious, table.node, np.arange(table.n_rows))
     table = replace(table, dof=own[table.dof])
-    _refuse_without_lips(organ, cuts, split)
     _refuse_through(split, table)
-    return Space(part.mesh, split, table), part
+    return replace(space, enrichment=table), part
 
 
 def _live_rim(organ, part, split):
@@ -175,18 +174,6 @@ def _live_rim(organ, part, split):
     depth = np.abs(np.einsum("bai,bai->ba", part.mesh.gradients[cell], offset))
     facet = organ.facet_number[part.cells[cell], np.argmin(depth, axis=1)]
     return (facet >= 0) & organ.live_facets[facet]
-
-
-def _refuse_without_lips(organ, cuts, split):
-    """A cut within 1e-3 h of the outline is snapped onto it, where it cuts nothing."""
-    for k, cut in enumerate(cuts):
-        lost = cut.length - np.diff(split.lips.arc[split.lips.cut == k], axis=1).sum()
-        if lost > 0.1 * min(cut.length, organ.mesh.sizes.min()):
-            raise XfemnavError(
-                "E305",
-                f"cut '{cut.name}' runs along the outline, or along another cut, for {lost:.2g} of its "
-                f"{cut.length:.2g} mm, where it cuts nothing; keep it inside, or leave that part out.",
-            )
 
 
 def _refuse_through(split: Parts, table: Enrichment):

@@ -1,10 +1,10 @@
 """Pose the mechanical problem: mesh, cuts, tissue, skull and retractors as matrices and vectors."""
 
 import warnings
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError, warn
@@ -13,18 +13,18 @@ from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.parts import Parts
 from xfemnav.geometry.removal import take_out
 from xfemnav.geometry.resection import Resection
-from xfemnav.geometry.snapping import SNAP
-from xfemnav.geometry.subcells import embed
-from xfemnav.mechanics.bare import Bare, without_blades
-from xfemnav.mechanics.constraints import Constraints, Contacts, Means, stack
+from xfemnav.mechanics.bare import without_blades
+from xfemnav.mechanics.conditions import Conditions
+from xfemnav.mechanics.constraints import stack
 from xfemnav.mechanics.contact import join, lip_contacts
 from xfemnav.mechanics.elasticity import Material, Tissue
-from xfemnav.mechanics.enrichment import BRANCH, Enrichment, enrich
+from xfemnav.mechanics.enrichment import BRANCH, Enrichment
 from xfemnav.mechanics.lips import Retraction, held_spans, lip_load, lip_quadrature, lip_rows
 from xfemnav.mechanics.loads import dead_loads
 from xfemnav.mechanics.nitsche import nitsche_load, nitsche_terms
-from xfemnav.mechanics.outline import hung, refuse_mouths, skull_conditions
+from xfemnav.mechanics.outline import OutlineConditions, hung, refuse_mouths, skull_conditions
 from xfemnav.mechanics.pieces import Piece, sort_out
+from xfemnav.mechanics.placing import functions_on, open_mouths, place
 from xfemnav.mechanics.rules import Loads, Rules, Skull
 from xfemnav.mechanics.slivers import warn_of_slivers, warn_of_strips
 from xfemnav.mechanics.space import Space
@@ -33,18 +33,16 @@ from xfemnav.mechanics.space import Space
 LOCKING_POISSON = 0.48
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """Minimise 1/2 U'(K + springs)U - load'U under C U = d and, where surfaces may touch, G U + gap >= 0 (`contacts`);
-    and with mean 0 over each piece that nothing else holds (`means`).
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Problem(Conditions):
+    """What acts on an organ, and what it was made of.
 
-    springs: the skull's ramp and the terms of Nitsche's condition, as stiffness, among them those by which `hung` holds
-    what else only touches; spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts that are
-    resected or loose, not in the result; pieces: the bodies of tissue that cuts and resections leave, largest first,
-    those removed last.
+    spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts that are resected or loose, not in the
+    result; pieces: the bodies of tissue that cuts and resections leave, largest first, those removed last.
     With the 'neo-hookean' model the tissue's stored energy takes the place of 1/2 U'KU.
-    bare: what takes the place of these without the blades, where a blade's displacement counts from its lip's place
-    then and that is not at rest; once that is known, `under` (n_dof,) mm are its coefficients, and the data count on.
+    bare: what takes the place of these conditions without the blades, where a blade's displacement counts from its
+    lip's place then and that is not at rest; once that is known, `under` (n_dof,) mm are its coefficients, and the data
+    count on.
     """
 
     space: Space
@@ -53,31 +51,23 @@ class Problem:
     skull: Skull
     retractions: tuple[Retraction, ...]
     spans: np.ndarray
-    constraints: Constraints
-    springs: csr_array
-    load: np.ndarray
     removed: np.ndarray
     rules: Rules
-    contacts: Contacts | None = None
-    hung: csr_array | None = None
     resections: tuple[Resection, ...] = ()
     pieces: tuple[Piece, ...] = ()
-    means: Means | None = None
-    bare: Bare | None = None
+    bare: Conditions | None = None
     under: np.ndarray | None = None
 
     def __post_init__(self):
+        super().__post_init__()
         object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
-        object.__setattr__(self, "springs", csr_array(self.springs))
-        object.__setattr__(self, "load", frozen_array(self.load, float, (self.space.enrichment.n_dof,), "load"))
         object.__setattr__(self, "removed", frozen_array(self.removed, bool, (self.space.parts.n_parts,), "removed"))
         if self.under is not None:
             object.__setattr__(self, "under", frozen_array(self.under, float, self.load.shape, "under"))
 
     def without_blades(self) -> "Problem":
         """The same problem without blades, for one that has `bare`."""
-        own = {field.name: getattr(self.bare, field.name) for field in fields(Bare)}
-        return replace(self, retractions=(), spans=np.empty((0, 2)), bare=None, **own)
+        return replace(self, retractions=(), spans=np.empty((0, 2)), bare=None, **vars(self.bare))
 
     def counted_from(self, U) -> "Problem":
         """The same problem with blades' displacements as they count, from U (n_dof,) mm where a blade says so.
@@ -137,100 +127,115 @@ def pose(
         each other, E406 nothing holds the organ, E408 measured points off the outline, E411 Nitsche's lips with the
         neo-Hookean model.
     """
-    refuse_mouths(skull, cuts)
-    if rules.model != "linear" and rules.lips.nitsche:
-        raise XfemnavError("E411", "lips by Nitsche's condition are linear; use ⟦lip_constraint=mortar⟧ with it.")
-    if not material.plane_stress and (poisson := float(np.max(material.poisson))) > LOCKING_POISSON:
-        warn(
-            "W405",
-            f"Poisson's ratio {poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
-            "or displacement may be over 5 % off; use 0.45 to 0.48, or smaller elements.",
-        )
-    split, taken = embed(mesh, cuts, resections), []
-    space = Space(mesh, split, enrich(mesh, split, rules.basis))
-    _refuse_cuts_without_lips(space, cuts, resections)
+    asked = _Asked(cuts, material, skull, retractions, resections, loads, rules)
+    asked.refuse()
+    space = functions_on(mesh, place(mesh, cuts, resections), rules.basis)
     _warn_of_lost_cuts(space, cuts)
-    mouths = [path[0] for path, cut in zip(split.paths, cuts) if cut.mouth and cut.craniotomy]
-    while True:  # again without the loose pieces, until there are none
-        n_dof = space.enrichment.n_dof
-        spans = _spans(space, cuts, retractions, rules.lips, again=bool(taken))
-        _refuse_overlap(cuts, retractions, spans)
-        outline = skull_conditions(space, skull, mouths, material, {r.cut for r in retractions})
-        conditions, springs = [outline.constraints], outline.springs
-        dead = dead_loads(space, loads, resections)
-        load = outline.load + dead
-        for group, (retraction, span) in enumerate(zip(retractions, spans)):
-            if not retraction.holds:
-                load += lip_load(space, retraction, span)
-            elif rules.lips.nitsche:
-                terms, forces = nitsche_terms(space, material, retraction, span)
-                springs, load = csr_array(springs + terms), load + forces
-            else:
-                conditions.append(lip_rows(space, retraction, span, group, rules.lips))
-        weak = hung(space, stack(conditions, n_dof), springs, outline.weak)
-        springs = springs if weak is None else csr_array(springs + weak)
-        conditions = stack(conditions, n_dof)
-        constraints, means, gone, pieces = sort_out(space, cuts, resections, retractions, conditions, springs,
-                                                  rules.loose)
-        if not gone.any():
-            break
-        taken.extend(piece for piece in pieces if piece.fate == "removed")
-        split = take_out(split, gone)
-        space = Space(mesh, split, enrich(mesh, split, rules.basis))
-    contacts = [outline.contacts]
-    if rules.lips.touch:
-        contacts.append(lip_contacts(space, retractions, spans, split.removed))
-    contacts, bare = join(contacts, n_dof), None
-    if any(r.from_loads for r in retractions) and (dead.any() or outline.load.any() or outline.constraints.d.any()):
-        if skull.measured is not None:  # a mouth that no blade opens may be held shut
-            outline = skull_conditions(space, skull, mouths, material)
-        try:
-            bare = without_blades(space, cuts, resections, outline, dead, rules.lips)
-        except XfemnavError:  # without blades the organ has no place
-            if any(r.relative_to == "loads" for r in retractions):
-                raise
-            retractions = tuple(replace(r, relative_to="rest") for r in retractions)
+    space, acting, pieces = _without_loose_pieces(space, asked)
+    bare, retractions = _without_blades(space, asked, acting)
     if bare is None:
-        _refuse_swapped(space, cuts, retractions, spans)
+        _refuse_swapped(space, cuts, retractions, acting.spans)
     warn_of_strips(space, cuts, resections)
-    warn_of_slivers(space, cuts, resections, retractions, spans)
-    return Problem(
-        space,
-        cuts,
-        material,
-        skull,
-        retractions,
-        spans,
-        constraints,
-        springs,
-        load,
-        split.removed,
-        rules,
-        contacts=contacts if len(contacts.gap) else None,
-        hung=weak,
-        resections=resections,
-        pieces=(*pieces, *sorted(taken, key=lambda piece: -piece.area_mm2)),
-        means=means,
-        bare=bare,
-    )
+    warn_of_slivers(space, cuts, resections, retractions, acting.spans)
+    return Problem(**vars(acting.conditions), space=space, cuts=cuts, material=material, skull=skull,
+                   retractions=retractions, spans=acting.spans, removed=space.parts.removed, rules=rules,
+                   resections=resections, pieces=pieces, bare=bare)
 
 
-def _refuse_cuts_without_lips(space, cuts, resections):
-    """A cut within 1e-3 h of the outline is snapped onto it, where tissue is on one side only: it cuts nothing.
+@dataclass(frozen=True)
+class _Asked:
+    """What `pose` was asked."""
 
-    What lies in a resection, or along its wall, has been cut and taken out.
-    """
-    split = space.parts
-    gone = shapely.union_all([r.region.buffer(4 * SNAP * space.mesh.sizes.max()) for r in resections])
-    for k, cut in enumerate(cuts):
-        own = split.lips.cut == k
-        lost = shapely.LineString(cut.path).difference(gone).length - np.diff(split.lips.arc[own], axis=1).sum()
-        if lost > 0.1 * min(cut.length, space.mesh.sizes.min()):
-            raise XfemnavError(
-                "E305",
-                f"cut '{cut.name}' runs along the outline, or along another cut, for {lost:.2g} of its "
-                f"{cut.length:.2g} mm, where it cuts nothing; keep it inside, or leave that part out.",
+    cuts: tuple[Cut, ...]
+    material: Material | Tissue
+    skull: Skull
+    retractions: tuple[Retraction, ...]
+    resections: tuple[Resection, ...]
+    loads: Loads
+    rules: Rules
+
+    def refuse(self) -> None:
+        """Refuse what does not go together, or warn of it."""
+        refuse_mouths(self.skull, self.cuts)
+        if self.rules.model != "linear" and self.rules.lips.nitsche:
+            raise XfemnavError("E411", "lips by Nitsche's condition are linear; use ⟦lip_constraint=mortar⟧ with it.")
+        if not self.material.plane_stress and (poisson := float(np.max(self.material.poisson))) > LOCKING_POISSON:
+            warn(
+                "W405",
+                f"Poisson's ratio {poisson:g} is above {LOCKING_POISSON:g}: linear triangles stiffen, and energy "
+                "or displacement may be over 5 % off; use 0.45 to 0.48, or smaller elements.",
             )
+
+
+class _Acting(NamedTuple):
+    """Conditions with the blades' spans (r, 2) mm; and what of them does not come from blades: those of the outline,
+    and the load (n_dof,) mN of weight and pressures."""
+
+    conditions: Conditions
+    spans: np.ndarray
+    outline: OutlineConditions
+    dead: np.ndarray
+
+
+def _conditions(space, asked, again) -> _Acting:
+    """What acts on the functions of a space; of blades that are shortened it is told unless this is done `again`."""
+    lips, n_dof = asked.rules.lips, space.enrichment.n_dof
+    spans = _spans(space, asked.cuts, asked.retractions, lips, again)
+    _refuse_overlap(asked.cuts, asked.retractions, spans)
+    outline = skull_conditions(space, asked.skull, open_mouths(space.parts, asked.cuts), asked.material,
+                               {r.cut for r in asked.retractions})
+    conditions, springs, dead = [outline.constraints], outline.springs, dead_loads(space, asked.loads, asked.resections)
+    load = outline.load + dead
+    for group, (retraction, held) in enumerate(zip(asked.retractions, spans)):
+        if not retraction.holds:
+            load += lip_load(space, retraction, held)
+        elif lips.nitsche:
+            terms, forces = nitsche_terms(space, asked.material, retraction, held)
+            springs, load = csr_array(springs + terms), load + forces
+        else:
+            conditions.append(lip_rows(space, retraction, held, group, lips))
+    conditions = stack(conditions, n_dof)
+    weak = hung(space, conditions, springs, outline.weak)
+    springs = springs if weak is None else csr_array(springs + weak)
+    return _Acting(Conditions(conditions, springs, load, hung=weak), spans, outline, dead)
+
+
+def _without_loose_pieces(space, asked):
+    """The space without pieces that are cut loose and go, what acts on it, and all pieces."""
+    taken, gone = [], np.ones(1)
+    while gone.any():  # again without the loose pieces, until there are none
+        if taken:
+            space = functions_on(space.mesh, take_out(space.parts, gone), asked.rules.basis)
+        acting = _conditions(space, asked, again=bool(taken))
+        constraints, means, gone, pieces = sort_out(space, asked.cuts, asked.resections, asked.retractions,
+                                                    acting.conditions.constraints, acting.conditions.springs,
+                                                    asked.rules.loose)
+        taken.extend(piece for piece in pieces if piece.fate == "removed")
+    contacts = [acting.outline.contacts]
+    if asked.rules.lips.touch:
+        contacts.append(lip_contacts(space, asked.retractions, acting.spans, space.parts.removed))
+    contacts = join(contacts, space.enrichment.n_dof)
+    conditions = replace(acting.conditions, constraints=constraints, means=means,
+                         contacts=contacts if len(contacts.gap) else None)
+    pieces = (*pieces, *sorted(taken, key=lambda piece: -piece.area_mm2))
+    return space, acting._replace(conditions=conditions), pieces
+
+
+def _without_blades(space, asked, acting):
+    """The conditions without blades, None where no blade's displacement counts from there; and the retractions, as
+    they count."""
+    outline, retractions = acting.outline, asked.retractions
+    loaded = acting.dead.any() or outline.load.any() or outline.constraints.d.any()
+    if not (loaded and any(r.from_loads for r in retractions)):
+        return None, retractions
+    if asked.skull.measured is not None:  # a mouth that no blade opens may be held shut
+        outline = skull_conditions(space, asked.skull, open_mouths(space.parts, asked.cuts), asked.material)
+    try:
+        return without_blades(space, asked.cuts, asked.resections, outline, acting.dead, asked.rules.lips), retractions
+    except XfemnavError:  # without blades the organ has no place
+        if any(r.relative_to == "loads" for r in retractions):
+            raise
+        return None, tuple(replace(r, relative_to="rest") for r in retractions)
 
 
 def _warn_of_lost_cuts(space, cuts):
