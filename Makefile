@@ -7,7 +7,7 @@ FUZZ ?= nifti
 SECONDS ?= 60
 export HEADS
 
-.PHONY: help demo paper worked-case steps batch fuzz flips test test-all lint docs bench clean
+.PHONY: help demo paper worked-case steps batch fuzz flips mutations test test-all lint docs bench clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 13
@@ -50,6 +50,9 @@ fuzz: $(INSTALLED)  ## make fuzz FUZZ=nifti|dicom|markups|scenario|surface|tract
 
 flips: $(INSTALLED)  ## make flips FORMAT=nii.gz FLIPS=500: bits and bytes of sound files changed at random; without FORMAT all
 	$(BIN)/python -m tests.fuzz.flips $(if $(FORMAT),"$(FORMAT)" $(or $(FLIPS),10000),--write)
+
+mutations: $(INSTALLED)  ## make mutations FAULTS="lips cli/": faults planted in a copy, which tests must notice; without FAULTS all
+	$(BIN)/python -m benchmarks.mutations $(FAULTS)
 
 lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .

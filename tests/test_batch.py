@@ -208,6 +208,12 @@ def test_a_failing_slice_stops_no_other_and_nothing_is_done_twice(tmp_path):
     assert stages(target, "abroken") == {"ran"}
     assert stages(target, "good") == {"cached"}
 
+    (source / "good.toml").write_text("xfemnav = 1\ncut = 3\n")  # no run begins, and the record is of the one before
+    code, _ = finished(batch(source, target, cache))
+    found = table(target)["good"]
+    assert code == 1 and (target / "good" / "run.json").exists()
+    assert (found["status"], found["trusted"], found["max_displacement_mm"]) == ("failed", "n/a", "n/a")
+
 
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_batch_leaves_no_run_behind(tmp_path, signum):

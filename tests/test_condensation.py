@@ -13,14 +13,17 @@ from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.sizing import SizeField
 from xfemnav.geometry.window import near_cells, window
-from xfemnav.mechanics.condensation import condense
+from xfemnav.mechanics.condensation import condense, with_rim
 from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
+from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
 from xfemnav.mechanics.lip_modes import lip_modes
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.live_motion import LiveMotion, Soup
+from xfemnav.mechanics.outline import skull_conditions
 from xfemnav.mechanics.rules import Basis, LipRules, Skull
 from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.space import Space
 
 # Both solve the same equations in another order; what remains is rounding times the condition of either, and the mark
 # for a live answer.
@@ -181,6 +184,24 @@ def test_the_compliance_grows_with_cuts_that_go_farther(mesh):
     known = len(organ.compliance.nodes)
     assert_same(mesh, *both(mesh, organ, cut_in(mesh, (0, 76), (-14, 20)), (2.0, 0.0), (-2.0, 0.0)))
     assert len(organ.compliance.nodes) > known
+
+
+def test_a_mouth_within_reach_changes_the_skulls_hold_on_open_facets_alone(mesh):
+    organ = condense(mesh, BRAIN, Skull(craniotomy_mm=8.0, ramp_mm=20.0), PLAN, mouths=PLAN[:1] * 70 / 76)
+    closed = with_rim(organ.uncut, ~organ.open_facets)
+    space, reached = Space(mesh, closed, enrich(mesh, closed)), []
+
+    def hold(mouths):
+        found = skull_conditions(space, organ.skull, mouths, BRAIN)
+        return [matrix.toarray() for matrix in (found.springs, found.constraints.C)]
+
+    alone = hold(np.empty((0, 2)))
+    for angle in np.linspace(0, np.pi / 2, 60):
+        mouth = 70 * np.array([[np.sin(angle), np.cos(angle)]])
+        reached.append(organ.reaches(mouth))
+        if reached[-1]:
+            assert all(np.array_equal(one, other) for one, other in zip(hold(mouth), alone)), angle
+    assert reached[0] and not reached[-1]
 
 
 def test_a_mouth_out_of_reach_is_told(mesh, organ):

@@ -61,12 +61,13 @@ def test_written_pages_are_those_of_the_program(name, writer):
 
 
 MEASURED = ("accuracy", "networks", "finite_strain", "sensitivity", "segmentation", "performance")
+MESHLESS = ("benchmarks.mutations", "tests.fuzz.page")  # they need no mesh of another program's
 
 
-@pytest.mark.parametrize("name", [*(f"benchmarks.{name}" for name in MEASURED), "tests.fuzz.page"])
+@pytest.mark.parametrize("name", [*(f"benchmarks.{name}" for name in MEASURED), *MESHLESS])
 def test_measured_pages_say_what_is_kept(name, tmp_path):
     """Written again from the kept results, a page is as it stands; and it says which command measured it."""
-    if name != "tests.fuzz.page":
+    if name not in MESHLESS:
         pytest.importorskip("gmsh")
     for folder in ("benchmarks", "tests"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))

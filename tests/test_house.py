@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import mutations
 from xfemnav.errors import FAULTS
 
 ROOT = Path(__file__).parents[1]
@@ -105,3 +106,10 @@ def test_every_code_is_awaited_by_a_test():
         awaited |= {code for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)
                     and id(node) not in said for code in CODE.findall(node.value)}
     assert set(FAULTS) - awaited == set()
+
+
+@pytest.mark.parametrize("fault", mutations.FAULTS, ids=lambda fault: fault.what)
+def test_every_planted_fault_has_its_place(fault):
+    """Where code moves or changes, the list of faults goes with it: else one is planted nowhere."""
+    assert mutations.source(fault).read_text().count(fault.right) == 1 and fault.wrong != fault.right
+    assert fault.tests and all((ROOT / f"tests/test_{name}.py").exists() for name in fault.tests)

@@ -85,8 +85,9 @@ def test_cuts_and_blades_one_after_the_other(session):
         assert_answers(session, path, {1: (1.5, 2.5), -1: (-1.0, -2.0)})
         session.open(left=2.0, right=1.0)
         assert_answers(session, path, {1: 2.0, -1: 1.0})
-    session.open(left=2.5, blade=(0.1, 0.6))
-    assert_answers(session, path, {1: 2.5}, (0.1, 0.6))
+    for blade in ((0.3, 0.8), (0.1, 0.6)):
+        session.open(left=2.5, blade=blade)
+        assert_answers(session, path, {1: 2.5}, blade)
     session.extend_cut([-8.0, 3.0])
     assert_answers(session, np.vstack([path, [-8.0, 3.0]]), {1: 2.5}, (0.1, 0.6))
     session.open(right=-1.0)  # pushed onto the left lip, which presses back
@@ -111,8 +112,19 @@ def test_blades_answer_in_proportion_and_add_up(session):
         assert_allclose(2 * one, two, atol=1e-12)
 
 
+@pytest.mark.parametrize("move", [(0.5, 1.5), (-0.5, -1.5)])
+def test_lips_may_go_along_with_each_other_but_not_into_each_other(session, move):
+    session.cut(PLAN)
+    session.open(left=move, right=move)
+    assert_answers(session, PLAN, {1: move, -1: move})
+    with pytest.raises(XfemnavError, match="E405"):
+        session.open(left=(0.5, -1.5), right=(-0.5, 1.5))
+
+
 def test_the_image_is_that_of_the_stages(session):
     session.cut(PLAN + np.array([0.0, -1.0]))
+    session.open(left=1.0)
+    session.image()  # of blades that go on
     session.open(left=2.0, right=2.0)
     whole, _ = solved(session, PLAN + np.array([0.0, -1.0]), {1: 2.0, -1: 2.0})
     grid = session.frame.origin, session.frame.spacing, session.frame.values.shape

@@ -174,6 +174,36 @@ def test_what_is_drawn_in_the_current_slice_goes_back_to_rest(run, home):
     assert np.linalg.norm(path[-1] - drawn[-1]) < 0.1 < np.linalg.norm(now[-1] - drawn[-1])
 
 
+DRAWN_LATER = """
+xfemnav = 1
+image = "head.nii.gz"
+[[cut]]
+name = "approach"
+points = [[-60, 10], [-22, 6]]
+[load]
+gravity = [0.0, -1.0]
+[mesh]
+element_size_mm = 7.0
+corridor_element_mm = 3.5
+corridor = [[-60, 10], [-10, 5]]
+[[step]]
+name = "shift"
+acts = ["gravity"]
+[[step]]
+name = "cut"
+acts = ["approach"]
+ends = ["gravity"]
+frame = "current"
+"""
+
+
+def test_what_is_drawn_in_a_slice_that_changes_is_cut_elsewhere(run):
+    """The later step asks for the same: what it was drawn in is no other."""
+    down, up = (np.array(run(DRAWN_LATER.replace("-1.0]", sign), "--no-report")["cuts"][0]["path"])
+                for sign in ("-1.0]", "1.0]"))
+    assert np.linalg.norm(down[-1] - up[-1]) > 1.0
+
+
 def test_a_longer_cut_keeps_mesh_and_segmentation(run):
     """Propagating a cut in its planned corridor."""
     plan = "corridor = [[-60, 10], [0, 4]]\n"
