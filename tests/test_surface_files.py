@@ -217,6 +217,15 @@ def test_a_gifti_whose_matrix_of_coordinates_is_damaged_is_refused(matrix):
             decoded_surface(content, "a.gii")
 
 
+@pytest.mark.parametrize("place", ["CELL_DATA 4\n", "DATASET POLYDATA\n"])
+def test_texts_without_end_are_refused_at_the_end(place):
+    """Not after as many empty ones as the file says."""
+    text = SEEDS["ascii/full.vtk"].decode("latin-1")
+    endless = text.replace(place, f"{place}FIELD FieldData 1\nSPACE 1 999999999999 string\nLPS\n", 1)
+    with pytest.raises(XfemnavError, match=r"E701.*ends in a text"):
+        decoded_surface(endless.encode("latin-1"), "a.vtk")
+
+
 def test_a_facet_that_does_not_end_takes_no_solid_with_it():
     """The lines of solids would be lost with it when the facet is written anew."""
     facet = b"facet normal 0 0 1\n outer loop\n"

@@ -161,6 +161,8 @@ class _Reader:
         """Texts, each with its length before it (binary), or on a line."""
         found = []
         for _ in range(n):
+            if self.at >= len(self.content):
+                raise ValueError("it ends in a text")
             if not self.binary:
                 found.append(self.take_line())
                 continue
