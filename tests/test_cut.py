@@ -11,6 +11,7 @@ from shapely.ops import substring
 from data_synthetic import domains
 from tests.meshes import turn
 from xfemnav.errors import XfemnavError, XfemnavWarning
+from xfemnav.geometry.chart import Chart
 from xfemnav.geometry.cut import PROLONG_MM, Cut, left_normals, place_cut
 
 SQUARE = domains.rectangle(100, 100)  # [-50, 50]^2
@@ -192,3 +193,9 @@ def test_a_cut_that_starts_on_another_is_its_branch():
     # Near the outline it is a cut of its own, with the mouth that it was drawn towards.
     with pytest.warns(XfemnavWarning, match="W301"):
         assert place_cut([(-48, 0.5), (-30, 15)], SQUARE, others=[stem]).mouth
+
+
+def test_a_cut_is_a_chart():
+    cut = Cut([[0, 0], [3, 4]], "approach")
+    asked = {name: getattr(cut, name) for name, value in vars(Chart).items() if isinstance(value, property)}
+    assert asked == {"name": "approach", "mouth": True, "craniotomy": True, "length": 5}

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.images import ORDERS, affine_of, image_of, stored
 from xfemnav.errors import XfemnavError, XfemnavWarning
+from xfemnav.imaging.grid import Grid
 from xfemnav.imaging.masks import clean
 from xfemnav.imaging.reading import read_image
 from xfemnav.imaging.slices import PLANES, plane_points, take_slice, to_nifti, values_on
@@ -321,3 +322,13 @@ def test_what_was_cleaned_is_reported_in_mm2(tmp_path):
     assert mask.sum() == 100
     assert code_of(read_mask, saved(tmp_path, 0 * organ, slice.affine), slice) == "E201"
     assert code_of(read_mask, saved(tmp_path, 1 + 0 * organ, slice.affine), slice) == "E203"
+
+
+def test_a_slice_is_a_grid():
+    """Its places are those of its values, in the world and back, and in the order of its file."""
+    slice = take_slice(ramp(), plane="axial", index=2)
+    asked = {*Grid.__annotations__, *(name for name in vars(Grid) if not name.startswith("_"))}
+    assert {"to_world", "axes"} < asked <= set(dir(slice))
+    centres = slice.pixel_centres()
+    back, off = slice.from_world(slice.to_world(centres.reshape(-1, 2)))
+    assert np.allclose(back, centres.reshape(-1, 2)) and np.allclose(off, 0) and slice.spacing.shape == (2,)

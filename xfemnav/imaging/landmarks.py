@@ -12,6 +12,7 @@ from xfemnav.errors import warn
 from xfemnav.geometry.locate import LIP, TOUCH, held
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.geometry.motion import Motion
+from xfemnav.imaging.grid import Grid
 from xfemnav.imaging.points import PointSet, frame_suspicion
 from xfemnav.imaging.slices import Slice
 
@@ -38,7 +39,7 @@ class MovedPoints:
             object.__setattr__(self, name, frozen_array(getattr(self, name), float, shape, name))
 
 
-def moved_points(points, frame: Slice, motion: Motion, organ, side=None) -> MovedPoints:
+def moved_points(points, frame: Grid, motion: Motion, organ, side=None) -> MovedPoints:
     """Where preoperative `points` are now.
 
     `organ` (t, 3, 2) mm: triangles of the whole organ at rest, also of what was resected. `side`: the lip for points
@@ -57,7 +58,7 @@ def moved_points(points, frame: Slice, motion: Motion, organ, side=None) -> Move
     return _result(points, frame, moved, lips, distance, flag)
 
 
-def resting_points(points, frame: Slice, motion: Motion, outline) -> MovedPoints:
+def resting_points(points, frame: Grid, motion: Motion, outline) -> MovedPoints:
     """Where the tissue that is now at `points` was preoperatively.
 
     `outline` (k, 2) mm: the organ's outline now, a closed loop with its mouths bridged. Where tissue overlaps, the
@@ -108,7 +109,7 @@ def _chosen(lips, side) -> np.ndarray:
     return np.where((side > 0)[:, None], left, np.where((side < 0)[:, None], right, either))
 
 
-def _in_plane(points, frame: Slice):
+def _in_plane(points, frame: Grid):
     """The points (n, d), their plane mm (n, 2) and signed distance (n,) mm from the plane."""
     points = np.array(points, float, ndmin=2)
     if points.shape[1] == 2:
@@ -116,7 +117,7 @@ def _in_plane(points, frame: Slice):
     return points, *frame.from_world(points)
 
 
-def _result(points, frame: Slice, moved, lips, distance, flag) -> MovedPoints:
+def _result(points, frame: Grid, moved, lips, distance, flag) -> MovedPoints:
     """The result in the form of `points`: plane or world."""
     if points.shape[1] == 3:
         off = distance[:, None] * frame.axes[2]

@@ -4,6 +4,7 @@ import numpy as np
 import SimpleITK as sitk
 
 from xfemnav.geometry.motion import Motion
+from xfemnav.imaging.grid import Grid
 from xfemnav.imaging.known import CUT, Scene
 from xfemnav.imaging.reading import Image
 from xfemnav.imaging.slices import Slice, take_slice
@@ -15,7 +16,7 @@ def scene_slice(scene: Scene) -> Slice:
     return take_slice(Image(values, affine, "float64", 2, "", "scene"), plane="axial", position_mm=scene.position_mm)
 
 
-def scene_motion(scene: Scene, frame: Slice) -> Motion:
+def scene_motion(scene: Scene, frame: Grid) -> Motion:
     """The motion of the scene's triangles in plane coordinates of a slice, two-valued on its cut."""
     rest, moved, cut = (frame.from_world(scene.world(points))[0] for points in (scene.rest, scene.moved, CUT))
     return Motion(rest, moved, (cut,))

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError, warn
-from xfemnav.geometry.cut import Cut, left_normals
+from xfemnav.geometry.chart import Chart
+from xfemnav.geometry.cut import left_normals
 from xfemnav.mechanics.constraints import Constraints, vector_rows
 from xfemnav.mechanics.quadrature import gauss
 from xfemnav.mechanics.rules import BLADE, LipRules
@@ -116,7 +117,7 @@ def held_length(space: Space, cut: int, span) -> float:
     return float(np.diff(np.clip(space.parts.lips.arc[space.parts.lips.cut == cut], *span)).sum())
 
 
-def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tuple[float, float]:
+def held_span(space: Space, cuts: tuple[Chart, ...], retraction: Retraction) -> tuple[float, float]:
     """Held part of the lip (from, to) mm from the mouth; shortened to stay two cells short of a tip (W404, of a blade
     that was given).
 
@@ -162,7 +163,9 @@ def held_span(space: Space, cuts: tuple[Cut, ...], retraction: Retraction) -> tu
     return float(left.min()), float(left.max())
 
 
-def held_spans(space: Space, cuts: tuple[Cut, ...], retractions: tuple[Retraction, ...], rules: LipRules) -> np.ndarray:
+def held_spans(
+    space: Space, cuts: tuple[Chart, ...], retractions: tuple[Retraction, ...], rules: LipRules
+) -> np.ndarray:
     """Held part (r, 2) mm of each lip; for pointwise rows without a blade the whole lip, as in the paper."""
     spans = [(0.0, np.inf) if rules.pointwise and r.holds and r.blade is None else held_span(space, cuts, r)
              for r in retractions]

@@ -4,6 +4,7 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
+from xfemnav.geometry.chart import Chart
 from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.parts import Parts
@@ -41,7 +42,7 @@ def functions_on(mesh: Mesh, parts: Parts, basis: Basis) -> Space:
     return Space(mesh, parts, enrich(mesh, parts, basis))
 
 
-def open_mouths(parts: Parts, cuts: tuple[Cut, ...]) -> np.ndarray:
+def open_mouths(parts: Parts, cuts: tuple[Chart, ...]) -> np.ndarray:
     """The mouths (m, d) mm about which the skull is open."""
     mouths = [path[0] for path, cut in zip(parts.paths, cuts) if cut.mouth and cut.craniotomy]
     return np.array(mouths).reshape(-1, parts.corners.shape[2])

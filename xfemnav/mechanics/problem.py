@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError, warn
-from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.chart import Chart
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.parts import Parts
 from xfemnav.geometry.removal import take_out
@@ -46,7 +46,7 @@ class Problem(Conditions):
     """
 
     space: Space
-    cuts: tuple[Cut, ...]
+    cuts: tuple[Chart, ...]
     material: Material | Tissue
     skull: Skull
     retractions: tuple[Retraction, ...]
@@ -106,7 +106,7 @@ class Problem(Conditions):
 
 def pose(
     mesh: Mesh,
-    cuts: tuple[Cut, ...],
+    cuts: tuple[Chart, ...],
     material: Material | Tissue,
     skull: Skull,
     retractions: tuple[Retraction, ...] = (),
@@ -146,7 +146,7 @@ def pose(
 class _Asked:
     """What `pose` was asked."""
 
-    cuts: tuple[Cut, ...]
+    cuts: tuple[Chart, ...]
     material: Material | Tissue
     skull: Skull
     retractions: tuple[Retraction, ...]
