@@ -43,6 +43,7 @@ class Fault(NamedTuple):
 FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, path, right, wrong, tests in (
     # Points, cuts and parts in the plane
     ("normals of facets without their alternating signs", "geometry/mesh.py", "(-1.0) ** np.arange(d) / factorial", "1.0 ** np.arange(d) / factorial", "mesh loads laws"),
+    ("element sizes in space as in the plane", "geometry/mesh.py", "(d + 1))) ** (1 / d)", "(d + 1))) ** (1 / 2)", "mesh"),
     ("a facet of the cut still joined at its end", "geometry/bisection.py", "low, high = max(min(t0, t1), 0.0), min(max(t0, t1), length)", "low, high = max(min(t0, t1), 0.1), min(max(t0, t1), length)", "subcells"),
     ("the other lip's motion on a cut", "geometry/motion.py", "side[lip] > 0, self.rest", "side[lip] < 0, self.rest", "motion"),
     ("a cut's clipped path not turned to start at its mouth", "geometry/cut.py", "line.project(shapely.Point(clipped[0])) > line.project", "line.project(shapely.Point(clipped[0])) < line.project", "cut"),
@@ -53,6 +54,7 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     ("what a closed level takes out is what lies outside", "geometry/solid/split.py", "within[cell], lips[:, k] < 0)", "within[cell], lips[:, k] > 0)", "split"),
     ("facets turned inwards", "geometry/solid/split.py", "facets], axis=1)) < 0", "facets], axis=1)) > 0", "split"),
     ("a contact not cut back to its second part", "geometry/solid/split.py", "if q >= 0:\n                        found, count", "if q < -1:\n                        found, count", "split"),
+    ("lips without the chart of their cut", "geometry/solid/split.py", "own[:] = 0 if cut.at is None else cut.at", "own[:] = 0", "split"),
     # Mechanics
     ("a sign in the gradient of F_3", "mechanics/branch.py", "cos_half * sin / 2 + sin_half * cos", "cos_half * sin / 2 - sin_half * cos", "branch"),
     ("a dropped Jacobian in the collapsed rule", "mechanics/quadrature.py", "return s, t, w * s\n", "return s, t, w / 2\n", "quadrature"),
@@ -70,6 +72,7 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     # The live session
     ("modes of blades of another length", "mechanics/live_cut.py", "key = sides, blade\n", "key = sides\n", "session condensation"),
     ("the image of the blades before", "pipeline/session.py", "_Now(live, self._now.drawn, asked)", "replace(self._now, live=live, asked=asked)", "session"),
+    ("world points put into the slice's plane", "pipeline/session.py", "self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]", "self.frame.to_world(move(plane))", "session"),
     ("a window with the tissue of other cells", "mechanics/incision.py", "material = _restricted(organ.material, part.cells)", "material = _restricted(organ.material, np.arange(len(part.cells)))", "condensation"),
     ("a reach that forgets the skull's ramp", "mechanics/condensation.py", "return skull.craniotomy_mm + skull.ramp_mm", "return skull.craniotomy_mm", "condensation session"),
     ("lips pulled apart by what moves both to one side", "mechanics/lip_modes.py", "apart += blade.side * (self._normals @ along) + away", "apart += (self._normals @ along) + away", "session condensation"),
@@ -77,15 +80,19 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     ("the qform of a header that states both frames", "imaging/frames.py", 'wanted == "qform" or not sform_code)', 'wanted == "qform" or sform_code != 1)', "frames two_frames"),
     ("LPS points turned about one axis only", "imaging/slices.py", 'points * ([-1, -1, 1] if space == "lps" else 1)', 'points * ([-1, 1, 1] if space == "lps" else 1)', "slices conventions"),
     ("distances of rows and of columns exchanged", "imaging/dicom.py", "np.array(spacing[::-1])", "np.array(spacing)", "dicom"),
+    ("a slice as thick as its tissue, without the gap to the next", "imaging/dicom.py", '_floats(fields, "SpacingBetweenSlices", 1, name) or _floats', "_floats", "dicom"),
     ("an origin in another unit than its axes", "imaging/nrrd.py", "affine[:3, 3] = origin[0] * _units(fields, name)", "affine[:3, 3] = origin[0]", "formats"),
     ("nearest pixels rounded down", "imaging/warp.py", "values[int(min(max(x + 0.5, 0.0), n1 - 1.0))", "values[int(min(max(x, 0.0), n1 - 1.0))", "warp"),
     ("a frame grown at the wrong end of a flipped axis", "imaging/transform.py", "(after if slice.flipped[k] else before)[k]", "before[k]", "transform"),
     ("vectors turned backwards", "imaging/companions.py", 'np.einsum("nij,nj->ni", _rotations(given), world[tissue])', 'np.einsum("nji,nj->ni", _rotations(given), world[tissue])', "companions"),
     # Stages, cache and outputs
     ("a key without the versions of libraries", "pipeline/keys.py", '        "libraries": library_versions(libraries),\n', "", "cache"),
+    ("a key without the stage's own code", "pipeline/keys.py", '        "own code": own_digest(stage),\n', "", "cache"),
+    ("an entry that is used as old as it was", "pipeline/cache.py", "                        os.utime(entry.folder)\n", "                        pass\n", "cache"),
     ("a key without the deformed slice that a cut was drawn in", "pipeline/chain.py", '        read |= {f"after {k}": done[label].entry.content(*VALUE) for label, k in self._drawn_in(stage.name).items()}\n', "", "steps chain"),
     ("slivers between lips that touch counted as overlap", "pipeline/stage_warp.py", "shapely.distance(centres, lips) > SLIVER_MM", "shapely.distance(centres, lips) > 0", "lying_twice"),
     ("files renamed before they are on the disk", "pipeline/disk.py", "                sync(temporary)\n", "                pass\n", "disk"),
+    ("somebody's link removed as a file left half-written", "pipeline/disk.py", "left.is_file() and not left.is_symlink()", "left.is_file()", "disk"),
     ("a sparse matrix that comes back in another form", "pipeline/store.py", '.asformat(tree["sparse"])', "", "store"),
     ("a check that is no number passes", "pipeline/verdicts.py", "not value <= within.untrusted.value", "value > within.untrusted.value", "verdicts"),
     ("the two lips of a landmark labelled the wrong way round", "pipeline/stage_carry.py", '((0, "left"), (1, "right"))', '((1, "left"), (0, "right"))', "apply"),
@@ -93,6 +100,8 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     ("every error exits as one of data", "cli/main.py", "code = error.exit_code or EXIT_DATA", "code = EXIT_DATA", "cli mistakes"),
     ("an interrupted run exits as a failed one", "cli/run.py", "return 128 + error.signum", "return 1", "signals"),
     ("a batch row from the record of an earlier run", "cli/batch.py", 'return record if record.get("exit_code") == exit_code else {}', "return record", "batch"),
+    ("a table that trusts all that has come", "pipeline/batch_table.py", 'found["trusted"] = found["status"] == "complete"', 'found["trusted"] = True', "batch"),
+    ("a batch that succeeds with slices that are not trusted", "cli/batch.py", 'return EXIT_OK if counts["updated"] == len(items)', 'return EXIT_OK if not counts["failed"]', "batch"),
     ("a run that is not trusted is applied with status 0", "cli/tools.py", "FLAGS)}\")\n        return EXIT_UNTRUSTED", "FLAGS)}\")\n        return 0", "apply"),
 ))
 

@@ -16,6 +16,7 @@ import pytest
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.batch_table import Table, row
 from xfemnav.pipeline.stage_solve import mean_displacement
+from xfemnav_cli import batch as command
 from xfemnav_cli.slices import find_items, read_manifest
 
 SCENARIO = """
@@ -169,12 +170,27 @@ def test_rows_of_before_stay_until_their_slice_has_run(tmp_path):
         Table(tmp_path, ["a"])
 
 
+@pytest.mark.parametrize("status, trusted", [("complete", "true"), ("untrusted", "false"), ("failed", "n/a"),
+                                             ("interrupted", "n/a")])
+def test_a_row_says_whether_its_result_is_trusted(status, trusted):
+    assert row("a", "", "", 0, 1.0, {"status": status})["trusted"] == trusted
+
+
 def test_mean_displacement_is_by_area():
     """A motion that is all translation has its length; where half of the area rests, half of it."""
     rest = np.array([[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0, 1]], [[0, 0], [-1, 0], [0, -2.0]]])
     shift, first_two = np.array([3.0, 4.0]), np.array([1, 1, 0])[:, None, None]
     assert mean_displacement(rest, rest + shift) == pytest.approx(5.0)
     assert mean_displacement(rest, rest + first_two * shift) == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize("codes, wanted", [((0, 0), 0), ((0, 3), 1), ((3, 3), 1), ((65, 0), 1)])
+def test_a_batch_succeeds_where_every_slice_is_trusted(tmp_path, monkeypatch, codes, wanted):
+    for name in "ab":
+        write_slice(tmp_path, name, 1.0)
+    monkeypatch.setattr(command, "run_items", lambda items, jobs, table: [
+        command.Outcome(item, code, {}, "", 0.0) for item, code in zip(items, codes)])
+    assert command.batch.callback(tmp_path, tmp_path / "out", 1) == wanted
 
 
 def test_an_empty_folder_is_a_usage_error(tmp_path):

@@ -51,6 +51,15 @@ def test_force_computes_again(tmp_path):
     assert not list((tmp_path / "entries").glob("*/.*"))
 
 
+def test_what_was_used_of_late_is_not_pruned(tmp_path):
+    cache = Cache(tmp_path)
+    used, left = (cache.obtain(digest(n), build)[0] for n in range(2))
+    for entry in (used, left):
+        os.utime(entry.folder, (0, 0))
+    cache.obtain(used.key, refuse)
+    assert cache.prune(older_than_s=3600).entries == 1 and cache.keys() == [used.key]
+
+
 def test_every_bit_flip_heals(tmp_path):
     """200 random single-bit flips over all bytes of an entry, its manifest too: found, set aside, made anew (W601)."""
     rng, cache = random.Random(0), Cache(tmp_path)
@@ -311,3 +320,15 @@ def test_another_version_of_a_library_is_another_key(stage, monkeypatch):
         assert key() != before, library
     monkeypatch.setattr(keys, "_installed", real)
     assert key() == before and {"numpy", "scipy", "numba"} <= set(stage.libraries)
+
+
+def test_all_that_a_result_depends_on_is_in_its_key(monkeypatch):
+    def key(**other):
+        given = {"stage": "mesh", "layers": ("geometry",), "libraries": ("numpy",), "params": 1, "inputs": {"mask": 1}}
+        return keys.stage_key(**given | other)
+
+    found = [key(), key(stage="warp"), key(layers=("imaging",)), key(params=2), key(inputs={"mask": 2})]
+    for code in ("own_digest", "code_digest"):
+        monkeypatch.setattr(keys, code, lambda edited: "edited")
+        found.append(key())
+    assert len(set(found)) == len(found)

@@ -174,6 +174,8 @@ def test_a_single_slice_has_its_thickness(tmp_path, volume):
     image = read_image(write_series(one, tmp_path / "s"))
     np.testing.assert_allclose(abs(image.affine), abs(one.affine), atol=1e-9)
     np.testing.assert_allclose(read_image(tmp_path / "s", spacing=(1, 2, 3)).affine, np.diag([1, 2, 3, 1]))
+    spaced = read_image(write_series(one, tmp_path / "gap", SpacingBetweenSlices=7.5))  # with what lies between
+    np.testing.assert_allclose(np.linalg.norm(spaced.affine[:3, 2]), 7.5)
 
 
 def test_the_order_of_names_does_not_count(tmp_path, volume):

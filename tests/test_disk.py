@@ -24,3 +24,14 @@ def test_all_is_synced_before_anything_is_renamed_and_the_folder_after(tmp_path,
     assert done[: len(files)] == [source for source, _ in renames] and done[len(files)] == "before"
     assert [target for _, target in renames] == [str(tmp_path / name) for name in files]
     assert done[-1] == str(tmp_path) and {path.name: path.read_bytes() for path in tmp_path.iterdir()} == files
+
+
+def test_only_what_we_have_left_half_written_goes(tmp_path):
+    (tmp_path / "mine").write_text("kept")
+    left, link, folder, other = (tmp_path / f".{name}{disk.TEMPORARY}" for name in ("7-0", "7-1", "7-2", "draft"))
+    left.write_text("half")
+    link.symlink_to("mine")
+    folder.mkdir()
+    other.write_text("somebody's")
+    disk.remove_temporaries(tmp_path)
+    assert sorted(tmp_path.iterdir()) == sorted([tmp_path / "mine", link, folder, other])

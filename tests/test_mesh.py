@@ -43,13 +43,18 @@ def test_gradients_sum_to_nothing(mesh):
     assert_allclose(mesh.gradients.sum(axis=1), 0, atol=ROUNDING * np.abs(mesh.gradients).max())
 
 
-def test_quality_is_one_for_the_equilateral_and_known_for_the_right_isosceles():
-    equilateral = Mesh([[0, 0], [2, 0], [1, np.sqrt(3)]], [[0, 1, 2]])
-    right = Mesh([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])
-    assert_allclose(equilateral.quality, 1, atol=ROUNDING)
-    assert_allclose(equilateral.sizes, 2, atol=ROUNDING)
-    # r_in = 1 - 1/sqrt 2, r_out = 1/sqrt 2
-    assert_allclose(right.quality, 2 * (np.sqrt(2) - 1), atol=ROUNDING)
+# r_in and r_out of the corner of a unit cube.
+CORNERS = {2: (1 - 1 / np.sqrt(2), 1 / np.sqrt(2)), 3: (1 / (3 + np.sqrt(3)), np.sqrt(3) / 2)}
+
+
+@pytest.mark.parametrize("d", CORNERS)
+def test_regular_simplices_have_quality_one_and_their_edge_as_size(d):
+    regular = np.linalg.cholesky((np.eye(d) + 1) / 2) * 2  # edges from the origin, 2 long, at 60 degrees
+    cells, (inner, outer) = [list(range(d + 1))], CORNERS[d]
+    mesh = Mesh(np.vstack([np.zeros(d), regular]), cells)
+    assert_allclose(mesh.quality, 1, atol=ROUNDING)
+    assert_allclose(mesh.sizes, 2, atol=ROUNDING)
+    assert_allclose(Mesh(np.vstack([np.zeros(d), np.eye(d)]), cells).quality, d * inner / outer)
 
 
 def test_neighbours_are_mutual_and_share_the_edge(mesh):

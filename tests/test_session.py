@@ -148,8 +148,10 @@ def test_a_session_and_a_run_of_one_image(head, tmp_path):
     session.open(left=(0.5, 2.5), right=(-0.5, -2.5))
     assert_allclose(session.image(), result.warp(brain()), atol=1e-3)
     points = np.random.default_rng(1).uniform((-30, -40), (30, 40), (100, 2))
-    world = np.column_stack([points, np.full(100, 10.0)])
-    assert_allclose(session.to_current(world), result.to_current(world), atol=SAME_MM)
+    world = np.column_stack([points, np.linspace(9, 11, 100)])  # about the slice: each keeps its distance from it
+    now = session.to_current(world)
+    assert_allclose(now, result.to_current(world), atol=SAME_MM)
+    assert_allclose(now[np.isfinite(now[:, 2]), 2], world[np.isfinite(now[:, 2]), 2], atol=SAME_MM)
     assert_allclose(session.to_preoperative(points), result.to_preoperative(points), atol=SAME_MM)
 
 

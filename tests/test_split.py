@@ -135,6 +135,19 @@ def test_a_cut_close_to_nodes_goes_through_them(d):
 
 
 @pytest.mark.parametrize("d", [2, 3])
+def test_lips_have_the_chart_coordinates_of_their_own_cut(d):
+    """Those that are linear in place are so on the facets."""
+    mesh, rng = block(d, SIZES[d]), np.random.default_rng(d)
+    slopes, normals = rng.normal(size=(3, d, d - 1)), np.eye(d)[[0, 1]] + 0.3
+    charts = [mesh.points @ slopes[0], mesh.points @ slopes[1], None]
+    levels = [Level((mesh.points - 2.3) @ normal, at=at) for normal, at in zip([*normals, normals.sum(axis=0)], charts)]
+    lips = split(mesh, tuple(levels)).lips
+    assert set(lips.cut) == {0, 1, 2}
+    slopes[2] = 0  # without a chart
+    assert_allclose(lips.at, lips.facets @ slopes[lips.cut], atol=1e-12)
+
+
+@pytest.mark.parametrize("d", [2, 3])
 @pytest.mark.parametrize("offset", [0.0, 1e-12, 1e-10, 1e-9, 1e-8, 1e-6, 1e-4, 2e-3])
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 2), (2, 1, 0)])
 def test_cuts_nearly_in_one_plane(d, offset, order):
