@@ -42,8 +42,8 @@ systems and measured displacements; *vtu* are meshes and solutions.
 
 {fuzzed}
 
-What was found on the way is mended, and stands in the tests: of surfaces in `tests/test_surface_files.py`, of the others
-in `tests/test_fuzz.py`.
+What was found on the way is mended, and stands in the tests: of surfaces in `tests/test_surface_files.py`, of the
+others in `tests/test_fuzz.py`.
 """
 
 
