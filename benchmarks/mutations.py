@@ -123,7 +123,7 @@ def planted(fault: Fault, folder: Path):
     before, kernels = path.stat(), kernel_folder(folder)
     path.write_text(text.replace(fault.right, fault.wrong))
     own = kernel_folder(folder)
-    if "njit" not in text and own != kernels:  # else others may hold a kernel of this file
+    if "njit" not in text and own != kernels and kernels.exists():  # else others may hold a kernel of this file
         shutil.copytree(kernels, own)
     try:
         yield
@@ -194,6 +194,8 @@ def main(arguments: list[str]) -> int:
     words = [word for word in arguments if word != "--page"]
     chosen = [fault for fault in FAULTS if not words or any(word in " ".join(map(str, fault)) for word in words)]
     chosen = [] if arguments == ["--page"] else chosen
+    if words and not chosen:
+        raise SystemExit(f"no fault has any of {', '.join(words)} in its line")
     kept = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     with tempfile.TemporaryDirectory() as place:
         if chosen:
