@@ -56,7 +56,7 @@ def _image_of(scenario: Path) -> Path | None:
 
 
 def _names_an_image(scenario: Path) -> bool:
-    from xfemnav.pipeline.scenario import read_toml
+    from xfemnav.pipeline.scenario_file import read_toml
 
     try:
         return "image" in read_toml(scenario)
@@ -71,7 +71,7 @@ def read_manifest(path: Path, target: Path) -> list[Item]:
     n/a, or nothing, is not given. A column that comes twice is given twice. Raises click.UsageError.
     """
     from xfemnav.imaging.content import decoded, file_bytes
-    from xfemnav.pipeline.scenario import LIMIT_BYTES
+    from xfemnav.pipeline.scenario_file import LIMIT_BYTES
 
     try:
         text = decoded(file_bytes(path, LIMIT_BYTES))
@@ -129,7 +129,7 @@ def _option(path: Path, number: int, column: str, cell: str) -> list[str]:
 
 def _options() -> dict[str, click.Option]:
     """The settings that a manifest may have: those of a scenario."""
-    from xfemnav.pipeline.flags import TABLE
+    from xfemnav.pipeline.settings import TABLE
     from xfemnav_cli.run import run
 
     return {option.name: option for option in run.params if option.name in TABLE}

@@ -17,11 +17,12 @@ from scipy.ndimage import binary_erosion
 from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 
 from xfemnav.pipeline import keys, stage_segment
-from xfemnav.pipeline.config import STAGES, configure
+from xfemnav.pipeline.config import configure
 from xfemnav.pipeline.inputs import recorded
 from xfemnav.pipeline.names import CARRIED, NAMES, OWN_NAME, PAGES, WITH_SIDECAR, public_name, sidecar_name
 from xfemnav.pipeline.runfile import run_schema
 from xfemnav.pipeline.scenario import problems
+from xfemnav.pipeline.settings import STAGES
 
 ROLES = {"mask", "mesh", "solution", "cuts", "updated", "cavity", "overlap", "lips", "field", "transform", "scenario"}
 

@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.config import STAGES, configure, scenario_problems
-from xfemnav.pipeline.flags import FLAGS, KINDS, OF_COMPANIONS, TABLE
+from xfemnav.pipeline.config import configure, scenario_problems
 from xfemnav.pipeline.keys import canonical
-from xfemnav.pipeline.scenario import CompanionSection, Scenario, problems, read_toml
-from xfemnav_cli.run import execute, run
+from xfemnav.pipeline.scenario import CompanionSection, Scenario, problems
+from xfemnav.pipeline.scenario_file import read_toml
+from xfemnav.pipeline.settings import FLAGS, KINDS, OF_COMPANIONS, STAGES, TABLE
+from xfemnav_cli.run import Control, run
 
 SCENARIO = """
 xfemnav = 1
@@ -233,7 +234,7 @@ def test_measured_boundary_is_read_or_refused(tmp_path, header, rows, code):
 # One list of flags ---------------------------------------------------------------------------------------------------
 
 def test_command_line_and_table_of_flags_agree():
-    own = set(execute.__kwdefaults__) | {"verbose", "as_json", "quiet"}
+    own = {field.name for field in fields(Control)} | {"image", "scenario"}
     assert {option.name for option in run.params} - own == set(TABLE)
 
 

@@ -16,7 +16,7 @@ import xfemnav
 from data_synthetic import domains
 from xfemnav.geometry.distmesh import distmesh
 from xfemnav.pipeline import card
-from xfemnav.pipeline.flags import TABLE
+from xfemnav.pipeline.settings import TABLE
 from xfemnav_cli.run import run as command
 
 PUBLIC = {"Result", "Session", "XfemnavError", "XfemnavWarning", "__version__", "run"}

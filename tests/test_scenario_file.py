@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.config import Config, configure
-from xfemnav.pipeline.flags import TABLE
 from xfemnav.pipeline.scenario import Scenario, problems
 from xfemnav.pipeline.scenario_file import placed, scenario_text, seen_from, toml
 from xfemnav.pipeline.scenariodocs import plain_keys, section_of
+from xfemnav.pipeline.settings import TABLE
 from xfemnav_cli.run import run
 
 EVERYTHING = {

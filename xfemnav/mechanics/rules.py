@@ -1,7 +1,7 @@
 """What the mechanics is asked, as small frozen values: the solid, the skull, the loads, the basis, the lips.
 
 Choices, defaults and what they mean to the mechanics stand here, and nowhere else: flags, the scenario's schema and the
-keys of the cache are made of these values. No numerics are imported, so that `--help` knows them too.
+keys of the cache are made of these values. No numerics are imported, so that the command's help knows them too.
 """
 
 import math

@@ -11,7 +11,6 @@ from pathlib import Path
 from xfemnav.errors import XfemnavError
 from xfemnav.interruption import checkpoint
 from xfemnav.pipeline.cache import Cache, Entry
-from xfemnav.pipeline.config import STAGES as ORDER
 from xfemnav.pipeline.config import Config
 from xfemnav.pipeline.frame_check import frame_doubts
 from xfemnav.pipeline.inputs import (
@@ -25,6 +24,7 @@ from xfemnav.pipeline.inputs import (
     recorded,
 )
 from xfemnav.pipeline.keys import canonical, digest, file_digest, stage_key
+from xfemnav.pipeline.settings import STAGES as ORDER
 from xfemnav.pipeline.stage import Stage
 from xfemnav.pipeline.stages import CARRY, FIGURE, IMAGING, SAFE, STAGES
 from xfemnav.pipeline.whereabouts import bytes_digest

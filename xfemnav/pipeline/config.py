@@ -13,7 +13,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import decoded, file_bytes
 from xfemnav.mechanics.rules import BLADE, Arc, Basis, Gravity, LipRules, Loads, Measured, Pressure, Rules, Skull, Solid
 from xfemnav.pipeline.crosscheck import OUTLINE, actors
-from xfemnav.pipeline.flags import FLAGS, add_flags, confined, numbers, path_places, printed
+from xfemnav.pipeline.flags import add_flags, confined, numbers, path_places, printed
 from xfemnav.pipeline.parameters import (
     KINDS,
     CarryParams,
@@ -32,6 +32,7 @@ from xfemnav.pipeline.parameters import (
     Step,
     WarpParams,
 )
+from xfemnav.pipeline.settings import FLAGS, STAGES
 from xfemnav.pipeline.whereabouts import Known, found_again
 
 if TYPE_CHECKING:
@@ -42,8 +43,6 @@ TABLE = {"no file": ("E408", "{name} is a folder, pipe or device, not a file. Co
          "empty": ("E408", "{name} is empty (0 bytes). Write it again."),
          "large": ("E408", "{name} holds {size}; at most {limit} are read. Is it a table of displacements?"),
          "unread": ("E408", "{name} cannot be read: {reason}. Copy it again.")}
-
-STAGES = ("segment", "mesh", "constrain", "solve", "warp")
 
 NO_CUT = "nothing moves: give a cut (⟦cut=x,y x,y ...⟧), a resection, gravity, or a measured boundary"
 
@@ -100,7 +99,8 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     `image` and the `flags` (by name, without dashes) win over the file `scenario`. `own` are the other arguments of the
     function that was given them. Raises E100, E780 and E781.
     """
-    from xfemnav.pipeline.scenario import read_toml, validated
+    from xfemnav.pipeline.scenario import validated
+    from xfemnav.pipeline.scenario_file import read_toml
 
     raw, files, flags = {"xfemnav": 1}, {}, dict(flags or {})
     if image is not None and str(image).lower().endswith(".toml"):
@@ -138,7 +138,8 @@ def _moves(raw: dict) -> bool:
 
 def scenario_problems(path: Path) -> list[str]:
     """Everything that is wrong with a scenario file, one line each: its form, its paths, the files that it names."""
-    from xfemnav.pipeline.scenario import problems, read_toml
+    from xfemnav.pipeline.scenario import problems
+    from xfemnav.pipeline.scenario_file import read_toml
 
     try:
         raw = read_toml(path)

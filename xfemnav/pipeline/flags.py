@@ -7,118 +7,14 @@ import difflib
 import math
 import os
 import re
-from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypedDict
 
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.rules import BLADE
 from xfemnav.naming import Names, literal
 from xfemnav.naming import flag as option
+from xfemnav.pipeline.settings import FLAGS, KEYS, KINDS, OF_COMPANIONS, TABLE
 
-AnyPath = str | os.PathLike[str]
-Drawn = AnyPath | Collection[Any]
-
-
-class Own(NamedTuple):
-    """A flag that stands for no single key of the scenario: what it is without being given, and what it means."""
-
-    default: Any
-    meaning: str
-
-
-class Flags(TypedDict, total=False):
-    """Every flag: its type, and its place in the scenario, where its default, choices and meaning are, or its `Own`.
-
-    It types the keyword arguments of `xfemnav.run` and `xfemnav.Session`; the options of the command have its names.
-    """
-
-    slice: Annotated[int | None, "slice.index"]
-    slice_mm: Annotated[float | None, "slice.position_mm"]
-    plane: Annotated[str | None, "slice.plane"]
-    mask: Annotated[AnyPath | None, "mask"]
-    segment_method: Annotated[str | None, "segment.method"]
-    template: Annotated[AnyPath | None, "segment.template"]
-    template_mask: Annotated[AnyPath | None, "segment.template_mask"]
-    skull_on: Annotated[str | None, "segment.skull"]
-    resample_mask: Annotated[bool | None, "resample_mask"]
-    volume: Annotated[int | None, "volume"]
-    nan: Annotated[float | None, "nan"]
-    spacing: Annotated[str | Sequence[float] | None, "spacing"]
-    nifti_frame: Annotated[str | None, "nifti_frame"]
-    space: Annotated[str | None, "space"]
-    max_memory: Annotated[float | None, "max_memory_gb"]
-    strict: Annotated[bool | None, "strict"]
-    allow_outside: Annotated[bool | None, "allow_outside"]
-    cut: Annotated[Drawn | None, Own(
-        (), "points of a cut, mouth first: 'x,y x,y ...', rows of 2 numbers (plane mm) or 3 (world mm), or a point "
-            "file; a list of these for several cuts")]
-    markup: Annotated[str | None, Own(None, "which markup of a point file with several")]
-    internal: Annotated[bool | None, Own(False, "the cuts lie inside, with two tips")]
-    left: Annotated[str | float | Collection[float] | None, Own(
-        None, "displacement of the first cut's left lip, plane mm: 'dx,dy' or two numbers; one: away from the other")]
-    right: Annotated[str | float | Collection[float] | None, Own(None, "the same of its right lip")]
-    lip_force: Annotated[str | Sequence[str] | None, Own(
-        (), "'left=fx,fy': force on a lip of it, mN per mm of thickness; a list of these for both lips")]
-    opening_mm: Annotated[float | None, Own(None, "opens the first cut along its normal, mm in all")]
-    blade: Annotated[str | Collection[float] | None, Own(
-        None, "held part of the cuts: 'from,to' or two numbers, 0 at the mouth, 1 at the tip; left out: 0 to 0.8")]
-    resect: Annotated[Drawn | None, Own(
-        (), "closed outline of what is taken out, as a cut's points or its file, a mask, or 'label=n,n'; a list of "
-            "these for several")]
-    min_resection_mm: Annotated[float | None, "min_resection_mm"]
-    labels: Annotated[AnyPath | None, "tissue.labels"]
-    mesh: Annotated[AnyPath | None, "mesh.file"]
-    element_size_mm: Annotated[float | None, "mesh.element_size_mm"]
-    corridor_mm: Annotated[float | None, "mesh.corridor_mm"]
-    corridor_element_mm: Annotated[float | None, "mesh.corridor_element_mm"]
-    grade_at_data_ends: Annotated[bool | None, "mesh.grade_at_data_ends"]
-    young_kpa: Annotated[float | None, "tissue.young_kpa"]
-    poisson: Annotated[float | None, "tissue.poisson"]
-    skull: Annotated[str | None, "boundary.skull"]
-    skull_gap_mm: Annotated[float | None, "boundary.skull_gap_mm"]
-    craniotomy_mm: Annotated[float | None, "boundary.craniotomy_mm"]
-    skull_ramp_mm: Annotated[float | None, "boundary.skull_ramp_mm"]
-    boundary_displacement: Annotated[AnyPath | None, "boundary.displacement"]
-    lips: Annotated[str | None, "boundary.lips"]
-    loose_pieces: Annotated[str | None, "boundary.loose_pieces"]
-    gravity: Annotated[str | Sequence[float] | None, "load.gravity"]
-    model: Annotated[str | None, "solve.model"]
-    stress_state: Annotated[str | None, "solve.stress_state"]
-    tip_enrichment: Annotated[str | None, "solve.tip_enrichment"]
-    lip_constraint: Annotated[str | None, "solve.lip_constraint"]
-    hold_tip: Annotated[bool | None, "solve.hold_tip"]
-    interp: Annotated[str | None, "warp.interp"]
-    outside: Annotated[str | None, "warp.outside"]
-    fill: Annotated[float | None, "warp.fill"]
-    transforms: Annotated[str | None, "warp.transforms"]
-    display: Annotated[str | None, "display"]
-    companion: Annotated[AnyPath | Sequence[AnyPath] | None, Own(
-        (), "other images to carry along: '[kind=]file', or a list of these")]
-    axes: Annotated[str | None, "companion.*.axes"]
-    tensor_order: Annotated[str | None, "companion.*.order"]
-    points: Annotated[AnyPath | Sequence[AnyPath] | None, "points"]
-    streamlines: Annotated[AnyPath | Sequence[AnyPath] | None, "streamlines"]
-    surfaces: Annotated[AnyPath | Sequence[AnyPath] | None, "surfaces"]
-
-
-#: Place in the scenario, or `Own`, of every flag.
-TABLE: dict[str, str | Own] = {name: hint.__metadata__[0] for name, hint in Flags.__annotations__.items()}
-PLACED = {name: place for name, place in TABLE.items() if isinstance(place, str)}
-#: Keys that say what flags of another form say.
-KEYS = {
-    "cut": "cut.points", "markup": "cut.markup", "internal": "cut.internal", "left": "retract.displacement_mm",
-    "right": "retract.displacement_mm", "lip_force": "retract.force_mN_per_mm", "opening_mm": "retract.normal_mm",
-    "blade": "retract.blade", "resect": "resect.outline", "kind": "companion.kind", "axes": "companion.axes",
-    "tensor_order": "companion.order", "companion": "companion.image", "points": "points",
-    "streamlines": "streamlines", "surfaces": "surfaces",
-}
-#: Flags of files, which come after the scenario's own.
-FILE_FLAGS = ("companion", "points", "streamlines", "surfaces")
-#: Flag -> key of every companion that is given by a flag.
-OF_COMPANIONS = {name: place.rpartition(".")[2] for name, place in PLACED.items() if "*" in place}
-#: Flag -> the one place in the scenario that it sets.
-FLAGS = {name: place for name, place in PLACED.items() if name not in (*FILE_FLAGS, *OF_COMPANIONS)}
 FLAG_OF = {place: option(name) for name, place in FLAGS.items()}
 #: Places of paths; "cut.*.markups" are those of every cut.
 PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.file", "boundary.displacement",
@@ -128,7 +24,6 @@ BACKSLASH = ("In double quotes a backslash begins an escape: write a path of Win
              "with /.")
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 MARKUPS = (".json", ".fcsv", ".csv", ".tsv", ".tag")
-KINDS = ("continuous", "label", "vector", "axis", "tensor")
 MASKS = (".nii", ".nii.gz", ".nrrd", ".mha", ".mgz")
 
 

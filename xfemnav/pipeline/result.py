@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.naming import ARGUMENTS
 from xfemnav.pipeline import job
-from xfemnav.pipeline.config import STAGES, configure
+from xfemnav.pipeline.config import configure
 from xfemnav.pipeline.disk import write_atomic
-from xfemnav.pipeline.flags import AnyPath, Flags, keys
+from xfemnav.pipeline.flags import keys
 from xfemnav.pipeline.kernels import settle_kernel_cache, spare_the_run
 from xfemnav.pipeline.record import read_record
 from xfemnav.pipeline.reopening import preoperative_slice
+from xfemnav.pipeline.settings import STAGES, AnyPath, Flags
 from xfemnav.pipeline.signatures import own_names, takes_flags
 
 if TYPE_CHECKING:

@@ -8,24 +8,18 @@ import difflib
 import math
 import os
 import re
-import tomllib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator, model_validator
-from pydantic.fields import FieldInfo
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator, create_model, model_validator
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.content import decoded
+from xfemnav.mechanics.rules import SKULLS
 from xfemnav.pipeline.crosscheck import cross_problems
-from xfemnav.pipeline.flags import BACKSLASH, FLAGS, KEYS, MASKS, numbers, tables
+from xfemnav.pipeline.flags import numbers, tables
+from xfemnav.pipeline.settings import FLAGS, KEYS, KINDS, TABLE, kind
 
-LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
 SHOWN = 50  # problems of a scenario that are told
-# Dotted keys deeper than that; the parser's time grows with the square of their length.
-LONG_KEY = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){32}""")
-ESCAPE = re.compile(r"hex value|[Ee]scape")  # in the parser's words
 # Problems that the mechanics has a code for, by their words.
 OWN_CODES = {
     "E404": re.compile(r"^(tissue\.\w+.*|⟦!(young_kpa|poisson)⟧): input should be (greater|less) than"),
@@ -42,6 +36,10 @@ MANY = Field(max_length=200)  # cuts, steps, companions: more is a mistake, and 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Name = Annotated[str, Field(pattern=r"^[\w .+-]{1,64}$")]
+#: What keys take: by the kind of their flag, or by the flag where it takes several values.
+OF_KIND = {bool: bool, int: int, float: float, os.PathLike: Path_}
+OF_FLAG = {"spacing": Annotated[tuple[Positive, ...], Strict(False), Field(min_length=2, max_length=3)],
+           "gravity": Vector, "points": Paths_, "streamlines": Paths_, "surfaces": Paths_}
 
 
 def _in_one_line(value, check):
@@ -63,18 +61,25 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
+def _keys(section: str, base: type[Section] = Section) -> type[Section]:
+    """`base`, and the keys of a section that flags give, as the table of settings has them."""
+    found = {}
+    for name, setting in TABLE.items():
+        home, _, key = setting.place.rpartition(".")
+        if key and home == section:
+            taken = Literal[setting.choices] if setting.choices else OF_FLAG.get(name) or OF_KIND[kind(name)]
+            said = Field(setting.default, description=setting.meaning, **dict(setting.bounds))
+            found[key] = (taken | None if setting.default is None else taken, said)
+    return create_model(f"{base.__name__}Keys", __base__=base, **found)
+
+
 def _refuse_mixed(points) -> None:
     if points is not None and len({len(point) for point in points}) > 1:
         raise ValueError("points of 2 and of 3 numbers are mixed")
 
 
-class SliceSection(Section):
+class SliceSection(_keys("slice")):
     """Which slice of a volume."""
-
-    plane: Literal["axial", "coronal", "sagittal"] | None = Field(
-        None, description="left out: the plane of an image with one slice, else axial")
-    index: int | None = Field(None, ge=0, description="voxel index along the plane's normal, from 0")
-    position_mm: float | None = Field(None, description="position along the plane's normal, mm")
 
     @model_validator(mode="after")
     def _one_position(self):
@@ -162,28 +167,19 @@ class ResectSection(Section):
         return given and tuple(sorted(set(given)))
 
 
-class CompanionSection(Section):
-    """Another image of the patient, on any grid, carried along with the tissue."""
-
+class _Image(Section):
     image: Path_ = Field(description="any format and grid; vectors and tensors with all their components")
-    kind: Literal["continuous", "label", "vector", "axis", "tensor"] | None = Field(
+    kind: Literal[KINDS] | None = Field(
         None, description="labels are taken from the nearest voxel; vectors, axes (without a sign) and tensors turn "
                           "with the tissue; left out: label or continuous, by the file's name, header and data")
-    axes: Literal["file", "world", "image", "index"] = Field(
-        "file", description="whose axes vectors and tensors are in: what the file states, the world's (RAS, or LPS in "
-                            "formats that are LPS), the image's as FSL counts them, or the array's (ANTs)")
-    order: Literal["fsl", "mrtrix", "nifti"] | None = Field(
-        None, description="of a tensor's six components: xx xy xz yy yz zz; xx yy zz xy xz yz; xx xy yy xz yz zz; "
-                          "left out: as the file states, else fsl")
 
 
-class SegmentSection(Section):
+class CompanionSection(_keys("companion.*", _Image)):
+    """Another image of the patient, on any grid, carried along with the tissue."""
+
+
+class SegmentSection(_keys("segment")):
     """How the organ is found when no mask is given."""
-
-    method: Literal["auto", "otsu", "vote", "svc"] = Field("auto", description="auto: fill stripped images, else vote")
-    skull: Literal["auto", "on", "stripped"] = Field("auto", description="whether the head's skull is in the image")
-    template: Path_ | None = Field(None, description="template image, for svc")
-    template_mask: Path_ | None = Field(None, description="the template's mask, for svc")
 
 
 class LabelSection(Section):
@@ -195,12 +191,9 @@ class LabelSection(Section):
     poisson: float | None = Field(None, ge=0, le=0.499, description="Poisson's ratio, in place of the kind's")
 
 
-class TissueSection(Section):
+class TissueSection(_keys("tissue")):
     """The material."""
 
-    young_kpa: Positive = Field(3.0, description="Young's modulus, kPa")
-    poisson: float = Field(0.45, ge=0, le=0.499, description="Poisson's ratio, below 0.5")
-    labels: Path_ | None = Field(None, description="label map on any grid, for other tissues and for resections")
     by_label: dict[Annotated[str, Field(pattern=r"^[1-9]\d{0,8}$")], LabelSection] = Field(
         default={}, description="tissues of labels; what has no entry is as above")
 
@@ -210,25 +203,15 @@ class ArcSection(Section):
 
     start: Vector = Field(description="plane mm, read in `space`")
     end: Vector = Field(description="plane mm, read in `space`")
-    skull: Literal["fixed", "sliding", "free", "contact"] = Field(description="what the skull does there")
+    skull: Literal[SKULLS] = Field(description="what the skull does there")
     skull_gap_mm: NotNegative = Field(0.0, description="gap to the skull, for contact")
 
 
-class BoundarySection(Section):
+class BoundarySection(_keys("boundary")):
     """What holds the organ's outline, and the lips that no blade holds."""
 
-    skull: Literal["fixed", "sliding", "free", "contact"] = Field(
-        "fixed", description="what the skull does to the outline; contact: tissue may leave it, not pass through it")
-    skull_gap_mm: NotNegative = Field(0.0, description="gap between the outline and the skull, for contact")
-    craniotomy_mm: NotNegative = Field(20.0, description="distance from a mouth within which the skull is off")
-    skull_ramp_mm: NotNegative = Field(4.0, description="length over which the skull's grip sets in; 0: at a point")
-    displacement: Path_ | None = Field(
-        None, description="CSV of the outline's measured motion: x,y,ux,uy[,side], plane mm, read in `space`")
     displacement_weight: Positive | None = Field(
         None, description="kPa/mm: follow the measured motion by springs this stiff (least squares); else exactly")
-    lips: Literal["contact", "free"] = Field("contact", description="lips do not pass through each other, or are free")
-    loose_pieces: Literal["refuse", "hold", "remove"] = Field(
-        "refuse", description="pieces cut free that nothing holds: an error, kept where they are, or taken out")
     arc: Annotated[tuple[ArcSection, ...], Strict(False), MANY] = ()
 
 
@@ -240,11 +223,9 @@ class PressureSection(Section):
     kpa: float = Field(description="kPa, positive into the tissue (1 kPa is 7.5 mmHg)")
 
 
-class LoadSection(Section):
+class LoadSection(_keys("load")):
     """Forces on the tissue beside the retractors'."""
 
-    gravity: Vector | None = Field(
-        None, description="direction in the plane, plane RAS; its length, at most 1, is the share of gravity there")
     density_kg_m3: Positive = Field(1000.0, description="density of the tissue")
     fluid_density_kg_m3: NotNegative = Field(1007.0, description="density of the cerebrospinal fluid")
     fluid_level_mm: float | None = Field(
@@ -271,29 +252,15 @@ class StepSection(Section):
         "preoperative", description="current: the cuts and outlines of `acts` are drawn in the slice as it is by then")
 
 
-class MeshSection(Section):
+class MeshSection(_keys("mesh")):
     """The mesh, or a file with yours."""
 
-    file: Path_ | None = Field(None, description="VTU of triangles in RAS mm, in place of the mesh stage")
-    element_size_mm: Positive = Field(3.0, description="edge length of the elements")
-    corridor_mm: NotNegative = Field(12.0, description="width of the fine band on either side of the cuts; 0 for none")
-    corridor_element_mm: Positive = Field(1.0, description="edge length of the elements there")
     corridor: Annotated[tuple[Point, ...], Strict(False)] | None = Field(
         None, description="the planned region's path, in place of the cuts themselves")
-    grade_at_data_ends: bool = Field(
-        False, description="finer where held lips end and where the outline begins to be held, for verification")
 
 
-class SolveSection(Section):
+class SolveSection(_keys("solve")):
     """How the equations are set up."""
-
-    stress_state: Literal["strain", "stress"] = Field("strain", description="plane strain or plane stress")
-    tip_enrichment: Literal["topological", "geometric", "none"] | None = Field(
-        None, description="nodes with tip functions: those about the tip, those near it, or none; left out: "
-                          "topological, but none with the neo-Hookean model")
-    lip_constraint: Literal["mortar", "nitsche", "pointwise"] = Field("mortar", description="how lips are held")
-    model: Literal["linear", "neo-hookean"] = Field("linear", description="small strains, or finite ones")
-    hold_tip: bool = Field(False, description="hold the tip cell's crossings too (pointwise only)")
 
     @model_validator(mode="after")
     def _tip_of_pointwise_lips(self):
@@ -302,45 +269,19 @@ class SolveSection(Section):
         return self
 
 
-class WarpSection(Section):
+class WarpSection(_keys("warp")):
     """How the new image is sampled."""
 
-    interp: Literal["linear", "cubic", "nearest"] = Field("linear", description="interpolation")
-    outside: Literal["keep", "zero"] = Field("keep", description="pixels outside the organ: as they were, or 0")
-    fill: float | None = Field(
-        None, description="value of pixels without tissue; left out: each image's own background, from its corners")
-    transforms: Literal["none", "itk", "all"] = Field(
-        "itk", description="the motion for other programs: one ITK transform for viewers, or every form and direction")
+
+class _Head(Section):
+    xfemnav: Literal[1] = Field(description="version of this format")
+    image: Path_ | None = Field(None, description="NIfTI; may be given on the command line instead")
 
 
-class Scenario(Section):
+class Scenario(_keys("", _Head)):
     """Everything that a run can be asked for. Paths are relative to the file and, unless `allow_outside`, stay in its
     folder."""
 
-    xfemnav: Literal[1] = Field(description="version of this format")
-    image: Path_ | None = Field(None, description="NIfTI; may be given on the command line instead")
-    mask: Path_ | None = Field(None, description="the organ, on the image's grid: a slice or a volume")
-    space: Literal["ras", "lps", "voxel"] = Field(
-        "ras", description="how points are read, and surfaces that do not say theirs; displacements and forces of lips "
-                           "are plane RAS in each")
-    volume: int | None = Field(None, ge=0, description="which volume of a 4-D image; masks are 3-D")
-    nan: float | None = Field(None, description="value for NaN and infinite voxels of the image; in masks they are 0")
-    spacing: Annotated[tuple[Positive, ...], Strict(False), Field(min_length=2, max_length=3)] | None = Field(
-        None, description="pixel sizes, mm, in place of the header's frame")
-    nifti_frame: Literal["auto", "sform", "qform"] = Field(
-        "auto", description="which frame of NIfTI headers with two is taken, in every file of the run; auto: the sform")
-    resample_mask: bool = Field(False, description="accept a mask on another grid")
-    min_resection_mm: NotNegative = Field(
-        4.0, description="of labels and masks that are taken out: bits smaller than a disc this wide stay, holes go")
-    max_memory_gb: Positive = Field(4.0, description="largest image to read, GB")
-    strict: bool = Field(False, description="warnings are errors")
-    allow_outside: bool = Field(False, description="paths may lead out of the scenario's folder")
-    points: Paths_ = Field((), description="files of landmarks to move: .mrk.json, .fcsv, .csv, .tsv, .tag")
-    streamlines: Paths_ = Field((), description="tractograms to move: .trk, .trk.gz, .tck")
-    surfaces: Paths_ = Field((), description="surfaces to move: .stl, .vtk, .vtp, .gii, .obj, .ply")
-    display: Literal["neurological", "radiological"] = Field(
-        "neurological", description="of figure and report, in axial and coronal slices: the patient's left on the "
-                                    "viewer's left, or on the viewer's right; changes no data")
     slice: SliceSection = SliceSection()
     segment: SegmentSection = SegmentSection()
     cut: Annotated[tuple[CutSection, ...], Strict(False), MANY] = ()
@@ -354,42 +295,6 @@ class Scenario(Section):
     solve: SolveSection = SolveSection()
     warp: WarpSection = WarpSection()
     step: Annotated[tuple[StepSection, ...], Strict(False), MANY] = ()
-
-
-def read_toml(path: Path) -> dict:
-    """The raw scenario in a TOML file. Raises E100 (missing) and E780 (too large, too deep, no TOML)."""
-    if not os.path.isfile(path):
-        raise XfemnavError("E100", f"no scenario file at {path}. Correct the path.")
-    if path.stat().st_size > LIMIT_BYTES:
-        raise XfemnavError("E780", f"{path.name} holds {path.stat().st_size} bytes; at most {LIMIT_BYTES} are read.")
-    too_deep = XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.")
-    try:
-        text = re.sub(r"\r\n?", "\n", decoded(path.read_bytes()))
-    except ValueError as error:
-        if path.name.lower().endswith(MASKS):
-            raise XfemnavError("E780", f"{path.name} is an image, no scenario (a TOML file); an image is for `xfemnav "
-                                       "run`.") from None
-        raise XfemnavError("E780", f"{path.name} {error}.") from None
-    try:
-        if LONG_KEY.search(text):
-            raise too_deep
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        mend = f" {BACKSLASH}" if ESCAPE.search(str(error)) else _quotes(text, str(error))
-        raise XfemnavError("E780", f"{path.name} is no TOML: {error}.{mend}") from None
-    except RecursionError:
-        raise too_deep from None
-    if _depth(raw) > LIMIT_DEPTH:
-        raise too_deep
-    return raw
-
-
-def _quotes(text: str, why: str) -> str:
-    """What to say of a text without quotes in the line that the parser names."""
-    line = re.search(r"at line (\d+)", why)
-    row = text.split("\n")[int(line[1]) - 1] if line else ""
-    bare = re.fullmatch(r"\s*([\w.-]+)\s*=\s*([^\W\d][^\"'\[{#]*|[./~][^\"'\[{#]*)", row)
-    return f' A text, as a path is, stands in quotes: {bare[1]} = "{bare[2].strip()}".' if bare else ""
 
 
 def validated(raw: dict, flags: dict[str, str], known: tuple[str, ...] = ()) -> Scenario:
@@ -475,12 +380,6 @@ def _flat_points(raw: dict) -> list[str]:
     return found
 
 
-def field_at(place: str) -> FieldInfo:
-    """The key at a place of the scenario, such as 'slice.index' or 'companion.*.axes'."""
-    *sections, name = place.split(".")
-    return _section_at(sections).model_fields[name]
-
-
 def _section_at(location: Sequence) -> type[Section]:
     """The section at `location`."""
     section = Scenario
@@ -495,13 +394,3 @@ def _section_of(annotation) -> type[Section] | None:
     if isinstance(annotation, type) and issubclass(annotation, Section):
         return annotation
     return next(filter(None, map(_section_of, get_args(annotation))), None)
-
-
-def _depth(value) -> int:
-    """Levels of nesting of tables and arrays, without recursion."""
-    depth, level = 0, [value]
-    while level:
-        depth += 1
-        level = [inner for item in level if isinstance(item, dict | list)
-                 for inner in (item.values() if isinstance(item, dict) else item)]
-    return depth

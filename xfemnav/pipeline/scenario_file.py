@@ -1,4 +1,5 @@
-"""The settings of a run as a scenario file: TOML that is read back as the same settings, wherever it is read.
+"""Scenario files: TOML that is read within bounds, and the settings of a run as such a file, which is read back as the
+same settings wherever it is read.
 
 TOML is written here and not by a library: tables, arrays of tables, numbers, words and lists are all that a scenario
 has, and the standard library reads TOML but does not write it.
@@ -7,16 +8,70 @@ has, and the standard library reads TOML but does not write it.
 import copy
 import json
 import os
+import re
+import tomllib
 from pathlib import Path
 
+from xfemnav.errors import XfemnavError
+from xfemnav.imaging.content import decoded
 from xfemnav.naming import flag
-from xfemnav.pipeline.flags import path_places, printed
+from xfemnav.pipeline.flags import BACKSLASH, MASKS, path_places, printed
 from xfemnav.pipeline.names import PAGES
 
 NAME = "".join(PAGES["scenario"])
 AGAIN = f"xfemnav run {flag('scenario', NAME)} {flag('output', 'OTHER')}"
 HEAD = f"# The settings of this run, defaults filled in. The same again: {AGAIN}\n"
 UNSAYABLE = "# TOML holds UTF-8 alone, and the name of this file is none, so give it again: {place} = {name}\n"
+LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
+# Dotted keys deeper than that; the parser's time grows with the square of their length.
+LONG_KEY = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){32}""")
+ESCAPE = re.compile(r"hex value|[Ee]scape")  # in the parser's words
+
+
+def read_toml(path: Path) -> dict:
+    """The raw scenario in a TOML file. Raises E100 (missing) and E780 (too large, too deep, no TOML)."""
+    if not os.path.isfile(path):
+        raise XfemnavError("E100", f"no scenario file at {path}. Correct the path.")
+    if path.stat().st_size > LIMIT_BYTES:
+        raise XfemnavError("E780", f"{path.name} holds {path.stat().st_size} bytes; at most {LIMIT_BYTES} are read.")
+    too_deep = XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.")
+    try:
+        text = re.sub(r"\r\n?", "\n", decoded(path.read_bytes()))
+    except ValueError as error:
+        if path.name.lower().endswith(MASKS):
+            raise XfemnavError("E780", f"{path.name} is an image, no scenario (a TOML file); an image is for `xfemnav "
+                                       "run`.") from None
+        raise XfemnavError("E780", f"{path.name} {error}.") from None
+    try:
+        if LONG_KEY.search(text):
+            raise too_deep
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        mend = f" {BACKSLASH}" if ESCAPE.search(str(error)) else _quotes(text, str(error))
+        raise XfemnavError("E780", f"{path.name} is no TOML: {error}.{mend}") from None
+    except RecursionError:
+        raise too_deep from None
+    if _depth(raw) > LIMIT_DEPTH:
+        raise too_deep
+    return raw
+
+
+def _quotes(text: str, why: str) -> str:
+    """What to say of a text without quotes in the line that the parser names."""
+    line = re.search(r"at line (\d+)", why)
+    row = text.split("\n")[int(line[1]) - 1] if line else ""
+    bare = re.fullmatch(r"\s*([\w.-]+)\s*=\s*([^\W\d][^\"'\[{#]*|[./~][^\"'\[{#]*)", row)
+    return f' A text, as a path is, stands in quotes: {bare[1]} = "{bare[2].strip()}".' if bare else ""
+
+
+def _depth(value) -> int:
+    """Levels of nesting of tables and arrays, without recursion."""
+    depth, level = 0, [value]
+    while level:
+        depth += 1
+        level = [inner for item in level if isinstance(item, dict | list)
+                 for inner in (item.values() if isinstance(item, dict) else item)]
+    return depth
 
 
 def whole(path: Path) -> str:

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.pipeline.config import configure
-from xfemnav.pipeline.flags import AnyPath, Drawn, Flags, numbers
+from xfemnav.pipeline.flags import numbers
 from xfemnav.pipeline.kernels import settle_kernel_cache, spare_the_run
 from xfemnav.pipeline.result import SIDES, Side, side_number
+from xfemnav.pipeline.settings import AnyPath, Drawn, Flags
 from xfemnav.pipeline.signatures import own_names, takes_flags
 
 if TYPE_CHECKING:

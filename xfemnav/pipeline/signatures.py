@@ -3,10 +3,9 @@
 from collections.abc import Callable, Iterator
 from inspect import Parameter, cleandoc, signature
 from textwrap import fill
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, TypeVar, get_args
 
-from xfemnav.pipeline.flags import TABLE, Flags, Own
-from xfemnav.pipeline.scenario import field_at
+from xfemnav.pipeline.settings import TABLE, Flags
 
 Function = TypeVar("Function", bound=Callable)
 TOLD = "Every flag with its default, which a scenario's own value takes the place of:"
@@ -31,18 +30,11 @@ def own_names(function: Callable) -> tuple[str, ...]:
 
 def _flags() -> Iterator[tuple[Parameter, str]]:
     """Each flag as a keyword argument, and a line that tells of it."""
-    for name, place in TABLE.items():
-        kind, chosen = get_args(Flags.__annotations__[name])[0], ()
-        default, meaning = place if isinstance(place, Own) else (field_at(place).default, field_at(place).description)
-        if isinstance(place, str) and (chosen := choices(field_at(place).annotation)):
-            kind = Literal[chosen] | None
-        among = f" ({', '.join(chosen)})" if chosen else ""
-        yield (Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind),
-               f"{name}={default!r}{among}: {meaning}")
-
-
-def choices(annotation: Any) -> tuple[str, ...]:
-    """The texts that a key takes, empty where it takes others too."""
-    if get_origin(annotation) is Literal:
-        return get_args(annotation)
-    return next(filter(None, map(choices, get_args(annotation))), ())
+    for name, setting in TABLE.items():
+        taken, among = get_args(Flags.__annotations__[name])[0], ""
+        numbers = "; or its numbers" if any(get_args(one)[:1] in ((float,), (Any,)) for one in get_args(taken)) else ""
+        if setting.choices:
+            taken, among = Literal[setting.choices] | None, f" ({', '.join(setting.choices)})"
+        yield (Parameter(name, Parameter.KEYWORD_ONLY, default=setting.default, annotation=taken),
+               f"{name}={setting.default!r}{among}: {setting.meaning}{numbers}"
+               f"{'; or a list of these' if setting.default == () else ''}")

@@ -12,10 +12,11 @@ from pathlib import Path
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.content import file_bytes
-from xfemnav.pipeline.flags import FLAGS, printed
+from xfemnav.pipeline.flags import printed
 from xfemnav.pipeline.keys import digest, file_digest
 from xfemnav.pipeline.names import PAGES, RECORD
 from xfemnav.pipeline.scenario_file import seen_from, whole
+from xfemnav.pipeline.settings import FLAGS
 
 ALONE = (".nii", ".nii.gz", ".mgz", ".mgh")  # one file is the image: no library is needed to digest it
 
