@@ -46,7 +46,8 @@ def test_faults_at_60_random_calls(tmp_path, quick_folder, monkeypatch, capsys):
         print(dict(battery.found), end=" ")
     assert not battery.failed, "\n".join(battery.failed)
     assert {"exit 0", "exit 73", "reruns"} <= battery.found.keys()
-    assert battery.found.keys() <= {"exit 0", "exit 1", "exit 73", "exit 74", "reruns"}  # 1: a slice of a batch failed
+    # 1: a file of several failed; 65: damage that was there is found.
+    assert battery.found.keys() <= {"exit 0", "exit 1", "exit 65", "exit 73", "exit 74", "reruns"}
 
 
 @pytest.mark.parametrize("how", [errno.ENOSPC, errno.EIO])

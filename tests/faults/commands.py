@@ -1,5 +1,6 @@
 """Commands that write, the states that they begin in, and what is remembered so that writing is what takes time."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,8 +80,13 @@ def remember(put=setattr) -> None:
         def recall(params, inputs):
             key = name, inputs.step, repr(params), repr(inputs.config)
             if key not in known:
-                known[key] = compute(params, inputs)
-            return known[key]
+                with warnings.catch_warnings(record=True) as caught:
+                    warnings.simplefilter("always")
+                    known[key] = compute(params, inputs), [item.message for item in caught]
+            value, told = known[key]
+            for message in told:
+                warnings.warn(message)  # noqa: B028
+            return value
         return recall
 
     for stage in (*STAGES.values(), CARRIED, SAFE):
