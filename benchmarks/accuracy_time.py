@@ -32,7 +32,7 @@ from benchmarks.reference.stress_intensity import williams as singular
 from benchmarks.verification import cases, fields, retraction
 from benchmarks.verification.outcome import energy_error
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim, supports, traction_load
-from xfemnav.geometry.cut import place_cut
+from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.mechanics import rules
 from xfemnav.mechanics.fracture import stress_intensity
 from xfemnav.mechanics.incision import incise

@@ -26,7 +26,7 @@ from skfem.helpers import ddot, eye, sym_grad, trace
 from benchmarks.reference.mesh import split
 from data_synthetic import files, phantom
 from xfemnav import Session
-from xfemnav.geometry.cut import place_cut
+from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.problem import pose

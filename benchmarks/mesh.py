@@ -18,9 +18,9 @@ import shapely
 from nilearn.datasets import load_mni152_brain_mask
 from scipy.ndimage import map_coordinates
 
-from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.outline_nodes import outline_nodes, rail_nodes
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.rail import outline_nodes, rail_nodes
 from xfemnav.imaging.outline import outline_of
 
 #: Number of nodes, and repetitions.

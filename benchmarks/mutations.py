@@ -44,11 +44,11 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     # Points, cuts and parts in the plane
     ("normals of facets without their alternating signs", "geometry/mesh.py", "(-1.0) ** np.arange(d) / factorial", "1.0 ** np.arange(d) / factorial", "mesh loads laws"),
     ("element sizes in space as in the plane", "geometry/mesh.py", "(d + 1))) ** (1 / d)", "(d + 1))) ** (1 / 2)", "mesh"),
-    ("a facet of the cut still joined at its end", "geometry/bisection.py", "low, high = max(min(t0, t1), 0.0), min(max(t0, t1), length)", "low, high = max(min(t0, t1), 0.1), min(max(t0, t1), length)", "subcells"),
+    ("a facet of the cut still joined at its end", "geometry/plane/bisection.py", "low, high = max(min(t0, t1), 0.0), min(max(t0, t1), length)", "low, high = max(min(t0, t1), 0.1), min(max(t0, t1), length)", "subcells"),
     ("the other lip's motion on a cut", "geometry/motion.py", "side[lip] > 0, self.rest", "side[lip] < 0, self.rest", "motion"),
-    ("a cut's clipped path not turned to start at its mouth", "geometry/cut.py", "line.project(shapely.Point(clipped[0])) > line.project", "line.project(shapely.Point(clipped[0])) < line.project", "cut"),
-    ("a branch that starts on a cut has a tip there", "geometry/snapping.py", "not _is_on(rim, x, h) and not any(_is_on(_stretches(other), x, h) for other in others)", "not _is_on(rim, x, h)", "subcells networks"),
-    ("holes of a region filled", "geometry/resection.py", "shapely.symmetric_difference(region, ", "shapely.union(region, ", "resection"),
+    ("a cut's clipped path not turned to start at its mouth", "geometry/plane/cut.py", "line.project(shapely.Point(clipped[0])) > line.project", "line.project(shapely.Point(clipped[0])) < line.project", "cut"),
+    ("a branch that starts on a cut has a tip there", "geometry/plane/snapping.py", "not _is_on(rim, x, h) and not any(_is_on(_stretches(other), x, h) for other in others)", "not _is_on(rim, x, h)", "subcells networks"),
+    ("holes of a region filled", "geometry/plane/resection.py", "shapely.symmetric_difference(region, ", "shapely.union(region, ", "resection"),
     # Parts in space
     ("a cut goes on past all but one of its bounds", "geometry/solid/levels.py", ".min(axis=2) < 0).all(axis=0)", ".min(axis=2) < 0).any(axis=0)", "split"),
     ("what a closed level takes out is what lies outside", "geometry/solid/split.py", "within[cell], lips[:, k] < 0)", "within[cell], lips[:, k] > 0)", "split"),

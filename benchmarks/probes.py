@@ -4,7 +4,7 @@ import numpy as np
 import shapely
 from scipy.sparse import csr_array
 
-from xfemnav.geometry.snapping import SEVER
+from xfemnav.geometry.plane.snapping import SEVER
 from xfemnav.imaging.warp import sample_into
 from xfemnav.mechanics.lips import LEFT, lip_quadrature
 from xfemnav.mechanics.space import Space

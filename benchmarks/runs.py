@@ -23,9 +23,9 @@ import nibabel
 import numpy as np
 
 from benchmarks.mesh import brain_outline
-from xfemnav.geometry.cut import place_cut
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.cut import place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.imaging.outline import outline_of
 from xfemnav.imaging.warp import covered, enclosed, pull_back, update
 from xfemnav.mechanics.elasticity import Material

@@ -20,7 +20,7 @@ from benchmarks.accuracy_time import retracted_chain
 from benchmarks.chains import displaced
 from benchmarks.verification import retraction
 from benchmarks.verification.outcome import reduced_system
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.constraints import eliminate
 from xfemnav.mechanics.elasticity import stiffness, stiffness_of_parts
 from xfemnav.mechanics.enrichment import enrich

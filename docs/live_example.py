@@ -7,8 +7,8 @@ import time
 import numpy as np
 
 from xfemnav import Session
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.sizing import SizeField
 
 PLAN = np.array([[0.0, 75.0], [0.0, 30.0]])
 HZ = 30

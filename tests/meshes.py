@@ -7,10 +7,10 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from data_synthetic import domains
-from xfemnav.geometry.cut import Cut, place_cut
-from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.mesh import Mesh, orient
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.cut import Cut, place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.problem import Problem, pose

@@ -13,8 +13,8 @@ from tests.test_free_pieces import outcome
 from tests.test_measured import change, measured, symmetric
 from tests.test_slivers import BOX, DOWN, OPEN
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.mechanics.rules import Gravity, Skull
 from xfemnav.mechanics.solution import solve
 

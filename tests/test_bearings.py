@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from small import CUT, OPEN, QUICK, write, xfemnav
 
 from tests.images import ORDERS, affine_of, image_of, stored
-from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.plane.cut import Cut
 from xfemnav.imaging.slices import take_slice
 from xfemnav.pipeline.bearings import Bearings, told, towards
 

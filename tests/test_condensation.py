@@ -9,10 +9,10 @@ from numpy.testing import assert_allclose
 from data_synthetic import domains
 from tests.meshes import BRAIN, cut_in, outline, posed
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import place_cut
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.sizing import SizeField
-from xfemnav.geometry.window import near_cells, window
+from xfemnav.geometry.plane.cut import place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.sizing import SizeField
+from xfemnav.geometry.plane.window import near_cells, window
 from xfemnav.mechanics.condensation import condense, with_rim
 from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
 from xfemnav.mechanics.enrichment import enrich

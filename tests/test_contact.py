@@ -11,8 +11,8 @@ from benchmarks.verification.plates import cut_space, given_on_rim, plate_proble
 from tests import cuts as networks
 from tests.meshes import BRAIN, FREE, HARD_SKULL, cut_in, disc, grid, jittered, mapped, measured_outline, outline, posed
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.resection import place_resection
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.imaging.warp import pull_back
 from xfemnav.mechanics.contact import lip_contacts, lip_pressure
 from xfemnav.mechanics.elasticity import Material, stiffness

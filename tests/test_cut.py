@@ -12,7 +12,7 @@ from data_synthetic import domains
 from tests.meshes import turn
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.chart import Chart
-from xfemnav.geometry.cut import PROLONG_MM, Cut, left_normals, place_cut
+from xfemnav.geometry.plane.cut import PROLONG_MM, Cut, left_normals, place_cut
 
 SQUARE = domains.rectangle(100, 100)  # [-50, 50]^2
 # Clipping is one intersection of two lines: a few rounding errors of coordinates of size 100.

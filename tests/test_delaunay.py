@@ -5,8 +5,8 @@ import shapely
 from numpy.testing import assert_allclose
 from scipy.spatial import Delaunay
 
-from xfemnav.geometry.delaunay import holes, insert, mark_inside, square
 from xfemnav.geometry.mesh import Mesh
+from xfemnav.geometry.plane.delaunay import holes, insert, mark_inside, square
 
 FREE = -1  # no parent: the search starts where the last one ended
 

@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from data_synthetic.masks import KINDS, random_mask
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.distmesh import distmesh, expected_nodes
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.distmesh import distmesh, expected_nodes
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.imaging.outline import outline_of
 
 RECTANGLE = np.array([[0.0, 0], [7, 0], [7, 16], [0, 16]])
@@ -202,7 +202,7 @@ def test_sizes_that_do_not_fit_are_refused_at_once(h, hint):
 def test_nodes_that_no_estimate_foresaw_are_refused(monkeypatch):
     """A focus of 1e-6 mm between the points where the estimate samples the size: it misses most of the nodes there."""
     size = SizeField(10.0, focus=(((0.2, 0.1), 1e-6),))
-    monkeypatch.setattr("xfemnav.geometry.distmesh.MOST_NODES", int(expected_nodes(disc(), size)) + 1)
+    monkeypatch.setattr("xfemnav.geometry.plane.distmesh.MOST_NODES", int(expected_nodes(disc(), size)) + 1)
     with pytest.raises(XfemnavError, match=r"E207 .*steeper growth"):
         distmesh(disc(), size)
 

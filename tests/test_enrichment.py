@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from data_synthetic import domains
 from tests import cuts
 from tests.meshes import cut_in, disc, grid, jittered, outline, space_of
-from xfemnav.geometry.cut import Cut, place_cut
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.cut import Cut, place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, STANDARD, enrich
 from xfemnav.mechanics.rules import Basis
 

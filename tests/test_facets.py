@@ -6,13 +6,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests import cuts
 from tests.meshes import cut_in, jittered
-from xfemnav.geometry.bisection import REACH
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.dissection import dissect
 from xfemnav.geometry.mesh import orient
-from xfemnav.geometry.partition import segments_of
-from xfemnav.geometry.snapping import SEVER
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.bisection import REACH
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.dissection import dissect
+from xfemnav.geometry.plane.partition import segments_of
+from xfemnav.geometry.plane.snapping import SEVER
+from xfemnav.geometry.plane.subcells import embed
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25)
 NETWORKS = ["generic", "internal", "crossing", "branch", "kinks_in_a_cell", "two_tips_in_a_cell", "right_through",

@@ -5,8 +5,8 @@ import pytest
 
 from tests import cuts
 from tests.meshes import cut_in, jittered
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.subcells import embed
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25)
 ROUNDING = 1e-12  # corners of neighbours are computed from the same lines of coordinates up to 12 mm

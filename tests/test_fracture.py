@@ -8,8 +8,8 @@ import pytest
 from data_synthetic.domains import rectangle
 from data_synthetic.fields import Williams
 from tests.meshes import posed
-from xfemnav.geometry.cut import place_cut
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.cut import place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.fracture import PA_SQRT_M, stress_intensity
 from xfemnav.mechanics.rules import Gravity, Skull

@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 from data_synthetic import domains
 from tests.meshes import BRAIN, cut_in, disc, outline, posed, turn
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.limits import SWAY
 from xfemnav.mechanics import outline as module
 from xfemnav.mechanics.elasticity import Material

@@ -3,8 +3,8 @@
 import numpy as np
 
 from data_synthetic.domains import disc
-from xfemnav.geometry.cut import place_cut
-from xfemnav.geometry.grading import data_ends
+from xfemnav.geometry.plane.cut import place_cut
+from xfemnav.geometry.plane.grading import data_ends
 
 
 def test_data_ends_are_the_singular_points():

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 from data_synthetic import domains
 from tests.meshes import BRAIN, FREE, HARD_SKULL, cut_in, disc, jittered, mapped, measured_outline, posed, turn
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.mesh import orient
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.mechanics import hyperelastic, neo_hookean
 from xfemnav.mechanics.constraints import stack, vector_rows
 from xfemnav.mechanics.elasticity import Material, Tissue

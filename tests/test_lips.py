@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from tests.eq_4 import paper_coefficients
 from tests.meshes import cut_in, grid, jittered, space_of
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.plane.cut import Cut
 from xfemnav.mechanics.enrichment import BRANCH
 from xfemnav.mechanics.lips import (
     Retraction,

@@ -7,8 +7,8 @@ from scipy.sparse.linalg import spsolve
 
 from tests.meshes import cut_in, grid, jittered, outline, space_of
 from tests.test_resection import box
-from xfemnav.geometry.resection import place_resection
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.resection import place_resection
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.elasticity import Material, stiffness
 from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.loads import KPA_PER_MM, dead_loads, pressure_load, weight_load

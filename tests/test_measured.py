@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from benchmarks.probes import basis_at
 from tests.meshes import BRAIN, FREE, cut_in, disc, mapped, outline, posed, space_of
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh
+from xfemnav.geometry.plane.cut import Cut
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.measured import measured_at
 from xfemnav.mechanics.outline import skull_conditions

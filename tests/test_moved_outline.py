@@ -6,7 +6,7 @@ import shapely
 from numpy.testing import assert_allclose
 
 from xfemnav.geometry.motion import Motion
-from xfemnav.geometry.moved_outline import moved_outline
+from xfemnav.geometry.plane.moved_outline import moved_outline
 
 N = 12
 ANGLES = 2 * np.pi * np.arange(N) / N

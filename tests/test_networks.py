@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 from benchmarks.probes import basis_at
 from data_synthetic import domains
 from tests.meshes import BRAIN, HARD_SKULL, outline, posed
-from xfemnav.geometry.cut import place_cut
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.grading import data_ends
-from xfemnav.geometry.resection import place_resection
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.cut import place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.grading import data_ends
+from xfemnav.geometry.plane.resection import place_resection
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.solution import solve
 

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from data_synthetic import domains
 from tests.meshes import BRAIN, cut_in, disc, jittered, measured_outline, outline, posed, space_of
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.mechanics import outline as module
 from xfemnav.mechanics.constraints import SKULL
 from xfemnav.mechanics.elasticity import Material

@@ -33,8 +33,8 @@ from data_synthetic.phantom import (
     outline,
 )
 from tests.meshes import posed
-from xfemnav.geometry.cut import place_cut
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.cut import place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.imaging.warp import pull_back
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.quadrature import tip_rule

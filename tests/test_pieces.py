@@ -8,7 +8,7 @@ from scipy.sparse import csr_array
 from tests.meshes import BRAIN, cut_in, jittered, outline, posed
 from tests.test_resection import box, circle
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.geometry.resection import place_resection
+from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.imaging.warp import covered, enclosed, pull_back, update
 from xfemnav.mechanics import pieces
 from xfemnav.mechanics.constraints import vector_rows

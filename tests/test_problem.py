@@ -25,8 +25,8 @@ from tests.meshes import (
     turn,
 )
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.rules import Skull

@@ -14,7 +14,7 @@ from small import CUT, write
 
 import xfemnav
 from data_synthetic import domains
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.pipeline import card
 from xfemnav.pipeline.settings import TABLE
 from xfemnav_cli.run import run as command

@@ -16,10 +16,10 @@ from numpy.testing import assert_allclose
 from tests.meshes import BRAIN, grid, jittered, outline, posed
 from tests.networks import random_network
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import place_cut
-from xfemnav.geometry.resection import place_resection
-from xfemnav.geometry.snapping import SNAP
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.cut import place_cut
+from xfemnav.geometry.plane.resection import place_resection
+from xfemnav.geometry.plane.snapping import SNAP
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solution import solve

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from tests.meshes import disc
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.motion import Motion
-from xfemnav.geometry.redrawn import path_at_rest, ring_at_rest
+from xfemnav.geometry.plane.at_rest import path_at_rest, ring_at_rest
 
 MESH = disc(40.0, 4.0)
 TURN = np.array([[np.cos(0.2), -np.sin(0.2)], [np.sin(0.2), np.cos(0.2)]])

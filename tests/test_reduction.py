@@ -6,7 +6,7 @@ from scipy.sparse import csc_array, eye_array
 
 from data_synthetic.fields import Williams
 from tests.meshes import BRAIN, cut_in, jittered
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.branch import branch_functions
 from xfemnav.mechanics.elasticity import stiffness
 from xfemnav.mechanics.enrichment import enrich

@@ -11,7 +11,7 @@ from tests import small
 from tests.images import affine_of, image_of, slice_of
 from xfemnav import run
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.geometry.resection import even_odd
+from xfemnav.geometry.plane.resection import even_odd
 from xfemnav.imaging.masks import mask_of
 from xfemnav.imaging.regions import marked, outlined, sizeable, warn_of_left
 

@@ -11,8 +11,8 @@ from benchmarks.probes import lip_gaps
 from data_synthetic import domains
 from tests.meshes import BRAIN, FREE, cut_in, disc, jittered, outline, posed
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.resection import place_resection
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.mechanics.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.rules import Arc, Gravity, Pressure, Skull
 from xfemnav.mechanics.solution import solve

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial import Delaunay
 
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.outline_nodes import outline_nodes, rail_nodes
-from xfemnav.geometry.relaxation import flip, lift_worst, mean_quality, truss
+from xfemnav.geometry.plane.rail import outline_nodes, rail_nodes
+from xfemnav.geometry.plane.relaxation import flip, lift_worst, mean_quality, truss
 
 
 @pytest.fixture

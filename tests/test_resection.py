@@ -7,10 +7,10 @@ from numpy.testing import assert_allclose
 
 from tests.meshes import cut_in, grid, jittered, outline
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.removal import take_out
-from xfemnav.geometry.resection import inner_paths, place_resection
-from xfemnav.geometry.snapping import SNAP
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.removal import take_out
+from xfemnav.geometry.plane.resection import inner_paths, place_resection
+from xfemnav.geometry.plane.snapping import SNAP
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.enrichment import enrich
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)

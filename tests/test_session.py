@@ -17,8 +17,8 @@ import xfemnav
 from data_synthetic import domains
 from tests.meshes import posed
 from xfemnav import Session, XfemnavError
-from xfemnav.geometry.cut import place_cut
-from xfemnav.geometry.distmesh import distmesh
+from xfemnav.geometry.plane.cut import place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.imaging.warp import covered, pull_back, update
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.incision import OutOfReach

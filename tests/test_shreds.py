@@ -9,8 +9,8 @@ import shapely
 from tests.meshes import grid, outline
 from xfemnav.errors import XfemnavWarning
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.resection import place_resection
-from xfemnav.geometry.shreds import Elements, without_shreds
+from xfemnav.geometry.plane.resection import place_resection
+from xfemnav.geometry.plane.shreds import Elements, without_shreds
 
 MESH = grid(24, 24.0)  # elements of 1 mm, a square of 24 mm
 LEAST = np.pi  # mm2: a disc of 2 mm

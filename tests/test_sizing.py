@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.sizing import SizeField, distance_to_path, is_inside, sample_inside
+from xfemnav.geometry.plane.sizing import SizeField, distance_to_path, is_inside, sample_inside
 
 PATH = np.array([[0.0, 0], [10, 0], [16, 8]])
 SQUARE = np.array([[-5.0, -5], [5, -5], [5, 5], [-5, 5], [-5, -5]])

@@ -8,10 +8,10 @@ import pytest
 
 from data_synthetic import domains
 from tests.meshes import BRAIN, cut_in, disc, jittered, outline, posed
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.resection import place_resection
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.resection import place_resection
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.limits import STRIP_ELEMENTS
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.rules import Arc, Skull

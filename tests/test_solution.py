@@ -14,8 +14,8 @@ from data_synthetic.fields import Williams
 from tests.eq_4 import paper_coefficients
 from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc, jittered, measured_outline, posed
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.mechanics import minimise
 from xfemnav.mechanics.elasticity import Material, stiffness
 from xfemnav.mechanics.lips import Retraction, crossings, lip_quadrature

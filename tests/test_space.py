@@ -11,8 +11,8 @@ from benchmarks.probes import basis_at, parts_at
 from tests import cuts
 from tests.eq_4 import paper_coefficients
 from tests.meshes import cut_in, disc, grid, jittered, space_of
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.enrichment import BRANCH, enrich
 from xfemnav.mechanics.rules import Basis
 from xfemnav.mechanics.space import Space

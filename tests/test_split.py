@@ -9,9 +9,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from xfemnav.geometry.mesh import area_vectors
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.geometry.solid.levels import Level, snapped
 from xfemnav.geometry.solid.split import split
-from xfemnav.geometry.subcells import embed
 from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.rules import Basis
 

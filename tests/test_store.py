@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh
+from xfemnav.geometry.plane.cut import Cut
 from xfemnav.pipeline.store import ARRAYS, TREE, load, read_array, save
 
 TRIANGLE = Mesh([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])

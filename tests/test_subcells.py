@@ -11,10 +11,10 @@ from scipy.sparse.csgraph import connected_components
 
 from tests import cuts
 from tests.meshes import cut_in, grid, jittered
-from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import orient
-from xfemnav.geometry.snapping import SNAP
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.snapping import SNAP
+from xfemnav.geometry.plane.subcells import embed
 
 MESHES = {f"jitter {j}": jittered(12.0, 10.0, 1.0, j, seed=int(100 * j)) for j in (0.0, 0.25, 0.35)}
 MESHES["grid"] = grid(10, 10.0)

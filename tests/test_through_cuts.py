@@ -12,7 +12,7 @@ from shapely.ops import polygonize, unary_union
 from benchmarks.probes import basis_at
 from benchmarks.verification import plane
 from tests.meshes import BRAIN, cut_in, disc, outline, space_of
-from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.plane.cut import Cut
 
 DISC = disc()
 

@@ -6,8 +6,8 @@ import shapely
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.meshes import cut_in, jittered
-from xfemnav.geometry.subcells import embed
-from xfemnav.geometry.window import near_cells, window
+from xfemnav.geometry.plane.subcells import embed
+from xfemnav.geometry.plane.window import near_cells, window
 
 MESH = jittered(20.0, 16.0, 1.0, 0.25)
 PATHS = {

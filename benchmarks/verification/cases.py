@@ -9,10 +9,10 @@ import numpy as np
 from benchmarks.verification import fields, plane
 from benchmarks.verification.outcome import Outcome, Value, energy_error, relative
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim, supports, traction_load
-from xfemnav.geometry.cut import Cut, place_cut
-from xfemnav.geometry.distmesh import distmesh
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.cut import Cut, place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.fracture import stress_intensity
 from xfemnav.mechanics.solution import solve

@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.verification import cases
 from benchmarks.verification.outcome import cg_iterations, condition_number, reduced_system
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
-from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.plane.cut import Cut
 
 OFFSETS = (1e-1, 1e-2, 2e-3, 5e-4, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14)
 

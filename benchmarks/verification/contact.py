@@ -14,9 +14,9 @@ from benchmarks.verification.cases import DISC, ENRICHED, STEEL, rectangle, unif
 from benchmarks.verification.outcome import Outcome, Value
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
 from data_synthetic import domains
-from xfemnav.geometry.cut import Cut, place_cut
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.cut import Cut, place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.imaging.warp import pull_back
 from xfemnav.mechanics.contact import lip_contacts, lip_pressure
 from xfemnav.mechanics.elasticity import Material

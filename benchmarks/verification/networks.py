@@ -10,12 +10,12 @@ from benchmarks.reference.elasticity import Field
 from benchmarks.reference.networks import HELD, NETWORKS, RESECTIONS, Network, retraction
 from benchmarks.verification.outcome import Outcome, Value, relative
 from benchmarks.verification.retraction import KEEP, compare
-from xfemnav.geometry.cut import Cut, place_cut
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.grading import data_ends
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.resection import place_resection
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.cut import Cut, place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.grading import data_ends
+from xfemnav.geometry.plane.resection import place_resection
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction
 from xfemnav.mechanics.problem import Problem, pose

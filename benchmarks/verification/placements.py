@@ -5,8 +5,8 @@ import numpy as np
 from benchmarks.verification import cases, fields
 from benchmarks.verification.outcome import energy_error
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
-from xfemnav.geometry.cut import place_cut
 from xfemnav.geometry.mesh import Mesh
+from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.mechanics.fracture import stress_intensity
 from xfemnav.mechanics.solution import solve
 

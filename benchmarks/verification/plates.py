@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy.sparse import csr_array
 
-from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.constraints import SKULL, Constraints, Contacts, stack, vector_rows
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.enrichment import enrich

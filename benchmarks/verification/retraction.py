@@ -12,11 +12,11 @@ from benchmarks.reference.cases import BRAIN, FREE, LIFT, MOUTH, TIP, Retracted,
 from benchmarks.reference.elasticity import Field, Tissue
 from benchmarks.verification.cases import uniform_mesh
 from benchmarks.verification.outcome import Outcome, Value, relative
-from xfemnav.geometry.cut import Cut, place_cut
-from xfemnav.geometry.distmesh import distmesh
-from xfemnav.geometry.grading import data_ends
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.sizing import SizeField
+from xfemnav.geometry.plane.cut import Cut, place_cut
+from xfemnav.geometry.plane.distmesh import distmesh
+from xfemnav.geometry.plane.grading import data_ends
+from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.mechanics.condensation import Condensation, condense
 from xfemnav.mechanics.elasticity import Material
 from xfemnav.mechanics.lips import Retraction

@@ -1,6 +1,6 @@
 """How what is drawn splits a mesh: parts of cells, where they touch, and what bounds them.
 
-This is the border of the dimension. The makers below it know the plane (`geometry.subcells`) or space
+This is the border of the dimension. The makers below it know the plane (`geometry.plane.subcells`) or space
 (`geometry.solid`); what is above it reads the dimension off the shapes of these arrays.
 """
 

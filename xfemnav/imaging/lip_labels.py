@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from xfemnav.geometry.cut import left_normals
+from xfemnav.geometry.plane.cut import left_normals
 from xfemnav.imaging.masks import touched
 from xfemnav.imaging.warp import PullBack
 

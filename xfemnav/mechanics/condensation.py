@@ -16,12 +16,12 @@ import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.locate import Buckets, bucket
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.parts import Parts
-from xfemnav.geometry.subcells import embed
-from xfemnav.geometry.window import near_cells
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.subcells import embed
+from xfemnav.geometry.plane.window import near_cells
 from xfemnav.mechanics.constraints import Constraints, eliminate
 from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
 from xfemnav.mechanics.enrichment import enrich

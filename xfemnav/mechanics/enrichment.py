@@ -17,8 +17,8 @@ import numpy as np
 from numba import njit
 
 from xfemnav.geometry.mesh import Mesh, frozen_array
-from xfemnav.geometry.partition import HERE
 from xfemnav.geometry.parts import Parts
+from xfemnav.geometry.plane.partition import HERE
 from xfemnav.mechanics.angles import centroids, torn, touched_parts, unwrap
 from xfemnav.mechanics.branch import branch_functions, polar
 from xfemnav.mechanics.rules import Basis

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.linalg import lapack
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.parts import Parts
-from xfemnav.geometry.window import Window, window
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.window import Window, window
 from xfemnav.mechanics.condensation import Condensation, chosen, with_rim
 from xfemnav.mechanics.constraints import Constraints
 from xfemnav.mechanics.elasticity import Material, plain_blocks, stiffness_of_parts

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.chart import Chart
-from xfemnav.geometry.cut import left_normals
+from xfemnav.geometry.plane.cut import left_normals
 from xfemnav.mechanics.constraints import Constraints, vector_rows
 from xfemnav.mechanics.quadrature import gauss
 from xfemnav.mechanics.rules import BLADE, LipRules

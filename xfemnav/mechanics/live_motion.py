@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from xfemnav.geometry.locate import locate
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.motion import Motion
-from xfemnav.geometry.window import near_cells
+from xfemnav.geometry.plane.window import near_cells
 from xfemnav.mechanics.condensation import Condensation
 from xfemnav.mechanics.fan import graded_triangles
 from xfemnav.mechanics.incision import Incision

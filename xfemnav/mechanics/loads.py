@@ -6,8 +6,8 @@ Both are dead loads: they keep the direction and place that they have at rest, a
 import numpy as np
 
 from xfemnav.geometry.mesh import area_vectors
-from xfemnav.geometry.removal import wall_of
-from xfemnav.geometry.snapping import SNAP
+from xfemnav.geometry.plane.removal import wall_of
+from xfemnav.geometry.plane.snapping import SNAP
 from xfemnav.mechanics.quadrature import gauss_in_simplex
 from xfemnav.mechanics.rules import Gravity, Loads
 from xfemnav.mechanics.space import Space

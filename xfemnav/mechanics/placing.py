@@ -5,12 +5,12 @@ import shapely
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.chart import Chart
-from xfemnav.geometry.cut import Cut
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.parts import Parts
-from xfemnav.geometry.resection import Resection
-from xfemnav.geometry.snapping import SNAP
-from xfemnav.geometry.subcells import embed
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.resection import Resection
+from xfemnav.geometry.plane.snapping import SNAP
+from xfemnav.geometry.plane.subcells import embed
 from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.rules import Basis
 from xfemnav.mechanics.space import Space

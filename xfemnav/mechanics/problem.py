@@ -11,8 +11,8 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.chart import Chart
 from xfemnav.geometry.mesh import Mesh, frozen_array
 from xfemnav.geometry.parts import Parts
-from xfemnav.geometry.removal import take_out
-from xfemnav.geometry.resection import Resection
+from xfemnav.geometry.plane.removal import take_out
+from xfemnav.geometry.plane.resection import Resection
 from xfemnav.mechanics.bare import without_blades
 from xfemnav.mechanics.conditions import Conditions
 from xfemnav.mechanics.constraints import stack

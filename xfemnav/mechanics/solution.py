@@ -7,7 +7,7 @@ from scipy.sparse import csc_array, csr_array, eye_array
 
 from xfemnav.geometry.mesh import frozen_array, orient
 from xfemnav.geometry.motion import Motion
-from xfemnav.geometry.moved_outline import moved_outline
+from xfemnav.geometry.plane.moved_outline import moved_outline
 from xfemnav.mechanics.constraints import Constraints, eliminate, multipliers
 from xfemnav.mechanics.contact import ContactForce, contact_forces
 from xfemnav.mechanics.drift import refuse_drift, refuse_flight, warn_of_sway

@@ -178,7 +178,7 @@ class Result:
     @cached_property
     def outline(self) -> np.ndarray:
         """The organ's outline now, a closed loop (k, 2) plane mm, its mouths bridged by straight lines."""
-        from xfemnav.geometry.moved_outline import moved_outline
+        from xfemnav.geometry.plane.moved_outline import moved_outline
 
         return moved_outline(self.organ.outline, self.motion)
 

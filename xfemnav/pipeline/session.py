@@ -60,7 +60,7 @@ class Session:
 
     >>> import numpy as np
     >>> from xfemnav_examples import domains
-    >>> from xfemnav.geometry.distmesh import distmesh
+    >>> from xfemnav.geometry.plane.distmesh import distmesh
     >>> session = Session(distmesh(domains.disc(70.0), 6.0), corridor=[[0, 75], [0, 30]])
     >>> session.cut([[0, 75], [0, 30]])
     >>> session.open(left=3.0, right=3.0)  # mm, away from the other lip
@@ -234,7 +234,7 @@ class Session:
 
     def _placed(self, path):
         """The cut inside the organ, with its mouth."""
-        from xfemnav.geometry.cut import place_cut
+        from xfemnav.geometry.plane.cut import place_cut
 
         drawn = self._settings.cuts[0]
         return place_cut(path, self.mesh.outline, drawn.name, internal=drawn.internal, craniotomy=drawn.craniotomy)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 def _placed(cuts, paths, outline, others=()):
     """Drawn cuts, paths (k, 2) plane mm, as they run inside an outline; `others` may bear branches too."""
-    from xfemnav.geometry.cut import place_cut
+    from xfemnav.geometry.plane.cut import place_cut
 
     return tuple(place_cut(path, outline, cut.name, internal=cut.internal, craniotomy=cut.craniotomy, space=cut.space,
                            others=[*others, *paths[:k], *paths[k + 1:]])
@@ -37,7 +37,7 @@ def compute(params, inputs):
 
 def _drawn_path(item, inputs):
     """Path (k, 2) plane mm of a cut at rest, however it was drawn."""
-    from xfemnav.geometry.redrawn import path_at_rest
+    from xfemnav.geometry.plane.at_rest import path_at_rest
 
     path = _plane(inputs.value("segment")[0], item.points, item.space)
     return path if item.drawn_after is None else path_at_rest(path, _motion(item, inputs), item.name)
@@ -87,8 +87,8 @@ def _taken_out(params, mesh, cuts, inputs):
     import shapely
     from shapely.ops import substring
 
-    from xfemnav.geometry.resection import refuse_all
-    from xfemnav.geometry.shreds import Elements, without_shreds
+    from xfemnav.geometry.plane.resection import refuse_all
+    from xfemnav.geometry.plane.shreds import Elements, without_shreds
     from xfemnav.imaging.regions import warn_of_left
 
     if not params.resections:
@@ -112,8 +112,8 @@ def _placed_regions(params, found, outline, inputs):
     """The resections inside an outline, by number, before anything else goes with them: those drawn, and those `found`
     in images. Raises E311 when nothing of these is as large as a resection."""
     from xfemnav.errors import XfemnavError
-    from xfemnav.geometry.redrawn import ring_at_rest
-    from xfemnav.geometry.resection import place_resection, place_united
+    from xfemnav.geometry.plane.at_rest import ring_at_rest
+    from xfemnav.geometry.plane.resection import place_resection, place_united
     from xfemnav.imaging.regions import outlined
 
     (slice, _), items, least = inputs.value("segment"), params.resections, _least_mm2(params)

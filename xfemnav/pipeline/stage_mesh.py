@@ -10,16 +10,16 @@ def compute(params, inputs):
         from xfemnav.pipeline.files import read_mesh
 
         return _about_the_organ(read_mesh(inputs.files["mesh_file"], slice), inputs)
-    from xfemnav.geometry.distmesh import distmesh
-    from xfemnav.geometry.sizing import SizeField
+    from xfemnav.geometry.plane.distmesh import distmesh
+    from xfemnav.geometry.plane.sizing import SizeField
     from xfemnav.imaging.outline import outline_of
     from xfemnav.imaging.slices import plane_points
 
     size, focus = params.element_size_mm, ()
     outline = outline_of(segmentation.mask, slice.origin, slice.spacing)
     if params.data_ends is not None:
-        from xfemnav.geometry.cut import place_cut
-        from xfemnav.geometry.grading import data_ends
+        from xfemnav.geometry.plane.cut import place_cut
+        from xfemnav.geometry.plane.grading import data_ends
 
         ends = params.data_ends
         paths = [plane_points(slice, cut.points, cut.space) for cut in ends.cuts]

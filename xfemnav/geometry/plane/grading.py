@@ -7,7 +7,7 @@ the skull's grip is complete. The cut stays out of the mesh.
 import numpy as np
 import shapely
 
-from xfemnav.geometry.cut import Cut
+from xfemnav.geometry.plane.cut import Cut
 
 # Element size, mm, at each kind of point; from there it grows by GROWTH mm per mm. Measured on the retraction disc:
 # .02 mm largest error beyond two elements of the cut at 8,000 nodes.

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from xfemnav.geometry.bisection import UNCUT, split_cell
-from xfemnav.geometry.snapping import SNAP
+from xfemnav.geometry.plane.bisection import UNCUT, split_cell
+from xfemnav.geometry.plane.snapping import SNAP
 
 # Fractions of the local element size h.
 ONE_LINE = 4e-6  # two segments that stay as near as this to one line, inside a cell, are on it

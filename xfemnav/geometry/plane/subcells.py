@@ -10,14 +10,14 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import Cut
-from xfemnav.geometry.dissection import dissect
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.partition import segments_of
 from xfemnav.geometry.parts import Faces, Fronts, Lips, Parts, shared
-from xfemnav.geometry.removal import parts_inside, walls
-from xfemnav.geometry.resection import Resection
-from xfemnav.geometry.snapping import find_tips, mesh_net, snap, snap_region
+from xfemnav.geometry.plane.cut import Cut
+from xfemnav.geometry.plane.dissection import dissect
+from xfemnav.geometry.plane.partition import segments_of
+from xfemnav.geometry.plane.removal import parts_inside, walls
+from xfemnav.geometry.plane.resection import Resection
+from xfemnav.geometry.plane.snapping import find_tips, mesh_net, snap, snap_region
 
 
 def embed(mesh: Mesh, cuts: tuple[Cut, ...], resections: tuple[Resection, ...] = ()) -> Parts:

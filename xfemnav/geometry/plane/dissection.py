@@ -3,9 +3,9 @@
 import numpy as np
 from numba import njit
 
-from xfemnav.geometry.facets import Polygons, joins, lips, rim, touched
-from xfemnav.geometry.fans import fan
-from xfemnav.geometry.partition import split_cells
+from xfemnav.geometry.plane.interfaces import Polygons, joins, lips, rim, touched
+from xfemnav.geometry.plane.partition import split_cells
+from xfemnav.geometry.plane.triangulate import fan
 
 
 @njit(cache=True)

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from xfemnav.geometry.mesh import frozen_array, orient
-from xfemnav.geometry.resection import even_odd, inner_paths, rings_of
+from xfemnav.geometry.plane.resection import even_odd, inner_paths, rings_of
 
 # Fractions of the local element size h.
 SNAP = 1e-3  # the cut is moved onto a node or edge as near as this

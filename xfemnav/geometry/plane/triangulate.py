@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from xfemnav.geometry.partition import HERE
+from xfemnav.geometry.plane.partition import HERE
 
 FLAT = 1e-13  # of the local element size: a triangle lower than this has no area but rounding
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from xfemnav.geometry.bisection import REACH, UNCUT
-from xfemnav.geometry.partition import HERE, touches
-from xfemnav.geometry.snapping import SEVER, SNAP
+from xfemnav.geometry.plane.bisection import REACH, UNCUT
+from xfemnav.geometry.plane.partition import HERE, touches
+from xfemnav.geometry.plane.snapping import SEVER, SNAP
 
 
 class Polygons(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import warn
-from xfemnav.geometry.resection import polygons, shared_out, without_slivers
+from xfemnav.geometry.plane.resection import polygons, shared_out, without_slivers
 from xfemnav.limits import SHRED_WIDTH
 
 LADDER = 1.5  # from one width to the next where the mesh is graded

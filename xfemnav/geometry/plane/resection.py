@@ -7,8 +7,8 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.cut import FLIPS, other_frame
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.geometry.plane.cut import FLIPS, other_frame
 
 #: Parts and holes of a region whose mean width is smaller than this are drawing noise (mm).
 SLIVER_MM = 1e-3

@@ -13,11 +13,11 @@ import numpy as np
 import shapely
 
 from xfemnav.errors import XfemnavError
-from xfemnav.geometry.delaunay import Triangulation, holes, insert, mark_inside, square
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.outline_nodes import Rail, outline_nodes, rail_nodes, strays
-from xfemnav.geometry.relaxation import lift_worst, mean_quality, truss
-from xfemnav.geometry.sizing import cones, sample_inside
+from xfemnav.geometry.plane.delaunay import Triangulation, holes, insert, mark_inside, square
+from xfemnav.geometry.plane.rail import Rail, outline_nodes, rail_nodes, strays
+from xfemnav.geometry.plane.relaxation import lift_worst, mean_quality, truss
+from xfemnav.geometry.plane.sizing import cones, sample_inside
 from xfemnav.interruption import checkpoint
 
 MOST_NODES, FEWEST_NODES = 400_000, 12

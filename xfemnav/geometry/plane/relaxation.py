@@ -8,7 +8,7 @@ Everything is compiled by numba and bounded.
 import numpy as np
 from numba import njit
 
-from xfemnav.geometry.outline_nodes import rail_point
+from xfemnav.geometry.plane.rail import rail_point
 
 FAIR = 0.8  # a star without a cell worse than this is improved in its mean, others in their worst cell
 FLAT = 0.05  # a step that leaves a cell less than this fraction of its area is undone at the cell's nodes
