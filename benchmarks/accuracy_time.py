@@ -34,10 +34,10 @@ from benchmarks.verification.outcome import energy_error
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim, supports, traction_load
 from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.mechanics import rules
-from xfemnav.mechanics.fracture import stress_intensity
-from xfemnav.mechanics.incision import incise
-from xfemnav.mechanics.lip_modes import lip_modes
-from xfemnav.mechanics.live_motion import LiveMotion, Soup
+from xfemnav.mechanics.live.incision import incise
+from xfemnav.mechanics.live.lip_modes import lip_modes
+from xfemnav.mechanics.live.live_motion import LiveMotion, Soup
+from xfemnav.mechanics.solving.intensity import stress_intensity
 
 SIZES = (500, 2_000, 8_000, 32_000)
 REPEATS = 5

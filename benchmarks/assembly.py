@@ -15,8 +15,8 @@ from skfem.helpers import ddot, eye, sym_grad, trace
 
 from benchmarks.verification import retraction
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.mechanics.assembly import assemble
-from xfemnav.mechanics.elasticity import Material, plain_blocks
+from xfemnav.mechanics.tissue.assembly import assemble
+from xfemnav.mechanics.tissue.elasticity import Material, plain_blocks
 
 #: Number of nodes, and repetitions.
 TARGETS = {1_000: 15, 5_000: 15, 20_000: 7, 80_000: 5}

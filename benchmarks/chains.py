@@ -15,11 +15,11 @@ from skfem.helpers import ddot, eye, sym_grad, trace
 from benchmarks.reference.elasticity import Field, Tissue
 from benchmarks.reference.mesh import SplitMesh, split
 from benchmarks.reference.mesh import _network as network
-from xfemnav.mechanics.constraints import eliminate
-from xfemnav.mechanics.elasticity import stiffness
-from xfemnav.mechanics.minimise import minimise
-from xfemnav.mechanics.problem import Problem
-from xfemnav.mechanics.solution import scaled_basis
+from xfemnav.mechanics.conditions.constraints import eliminate
+from xfemnav.mechanics.conditions.problem import Problem
+from xfemnav.mechanics.solving.minimise import minimise
+from xfemnav.mechanics.solving.solution import scaled_basis
+from xfemnav.mechanics.tissue.elasticity import stiffness
 
 OPTIONS = {
     "General.Terminal": 0,

@@ -18,8 +18,8 @@ from benchmarks.probes import basis_at
 from benchmarks.verification.finite_strain_page import write_page
 from benchmarks.verification.retraction import PATH, corridor, corridor_graded, posed, uniform
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics import hyperelastic
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving import hyperelastic
+from xfemnav.mechanics.solving.solution import solve
 
 RESULTS = Path("benchmarks/results/finite_strain.json")
 HELD = 0.5

@@ -17,7 +17,7 @@ from benchmarks.reference.cases import MOUTH, TIP
 from benchmarks.verification import retraction
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
 
 RESULTS = Path("benchmarks/results/lips.json")
 CONDITIONS = ("mortar", "nitsche", "pointwise")

@@ -27,11 +27,11 @@ from benchmarks.reference.mesh import split
 from data_synthetic import files, phantom
 from xfemnav import Session
 from xfemnav.geometry.plane.cut import place_cut
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.conditions.problem import pose
 from xfemnav.mechanics.rules import Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 PAGE = Path(__file__).parents[1] / "docs" / "use" / "live.md"
 BEGIN, END = "<!-- measured -->", "<!-- /measured -->"

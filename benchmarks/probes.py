@@ -6,8 +6,8 @@ from scipy.sparse import csr_array
 
 from xfemnav.geometry.plane.snapping import SEVER
 from xfemnav.imaging.warp import sample_into
-from xfemnav.mechanics.lips import LEFT, lip_quadrature
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.conditions.lips import LEFT, lip_quadrature
+from xfemnav.mechanics.space.space import Space
 
 
 def basis_at(space: Space, points, side: int | None = None) -> csr_array:

@@ -28,11 +28,11 @@ from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.imaging.outline import outline_of
 from xfemnav.imaging.warp import covered, enclosed, pull_back, update
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.conditions.problem import pose
 from xfemnav.mechanics.rules import Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 REPEATS, SIDE, PIXEL_MM = 5, 512, 0.36
 INSTALLED = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}

@@ -17,8 +17,8 @@ from benchmarks.reference.cases import BRAIN, FREE, LIFT, retraction
 from benchmarks.reference.elasticity import Tissue
 from benchmarks.verification.retraction import PATH, compare, corridor, posed, uniform
 from benchmarks.verification.sensitivity_page import write_page
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 RESULTS = Path("benchmarks/results/sensitivity.json")
 LENGTH = float(np.linalg.norm(PATH[1] - PATH[0]))

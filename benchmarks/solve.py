@@ -21,12 +21,12 @@ from benchmarks.chains import displaced
 from benchmarks.verification import retraction
 from benchmarks.verification.outcome import reduced_system
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.constraints import eliminate
-from xfemnav.mechanics.elasticity import stiffness, stiffness_of_parts
-from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.factor import by_cholmod, by_superlu
-from xfemnav.mechanics.solution import scaled_basis, solve
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.conditions.constraints import eliminate
+from xfemnav.mechanics.solving.factor import by_cholmod, by_superlu
+from xfemnav.mechanics.solving.solution import scaled_basis, solve
+from xfemnav.mechanics.space.enrichment import enrich
+from xfemnav.mechanics.space.space import Space
+from xfemnav.mechanics.tissue.elasticity import stiffness, stiffness_of_parts
 
 #: Number of nodes, and repetitions.
 TARGETS = {1_000: 9, 5_000: 7, 20_000: 5, 80_000: 5}

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.space.enrichment import BRANCH, HEAVISIDE
+from xfemnav.mechanics.space.space import Space
 
 
 def paper_coefficients(space: Space, U) -> dict[str, np.ndarray]:

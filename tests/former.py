@@ -9,7 +9,7 @@ from tests.meshes import BRAIN, posed
 from tests.test_random_networks import draw_problem, place
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
 
 KEPT = Path(__file__).with_name("former.npz")
 

@@ -11,11 +11,11 @@ from xfemnav.geometry.mesh import Mesh, orient
 from xfemnav.geometry.plane.cut import Cut, place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.problem import Problem, pose
+from xfemnav.mechanics.conditions.problem import Problem, pose
 from xfemnav.mechanics.rules import Basis, LipRules, Loads, Measured, Rules, Skull
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.space.enrichment import enrich
+from xfemnav.mechanics.space.space import Space
+from xfemnav.mechanics.tissue.elasticity import Material
 
 BRAIN = Material()
 HARD_SKULL = Skull("fixed", craniotomy_mm=15.0, ramp_mm=0.0)

@@ -16,7 +16,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.mechanics.rules import Gravity, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
 
 
 def measured_outline(folder):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from xfemnav.mechanics.assembly import assemble
+from xfemnav.mechanics.tissue.assembly import assemble
 
 RNG = np.random.default_rng(3)
 

@@ -13,7 +13,7 @@ from tests.small import RAS, brain, write
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.imaging.segment import segment
 from xfemnav.imaging.slices import touching
-from xfemnav.mechanics.outline import skull_conditions
+from xfemnav.mechanics.conditions.skull import skull_conditions
 from xfemnav.mechanics.rules import Skull
 from xfemnav.pipeline.session import Session
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from xfemnav.mechanics.branch import branch_functions, branch_gradients, polar
+from xfemnav.mechanics.space.branch import branch_functions, branch_gradients, polar
 
 RNG = np.random.default_rng(4)
 R = 10 ** RNG.uniform(-3, 2, 300)

@@ -108,7 +108,7 @@ def test_edited_helper_in_mechanics_spares_the_mesh(run, tmp_path, capfd, monkey
 
     run()
     assert states() == ["cached"] * 5
-    for edited, expected in (("mechanics/branch.py", ["cached", "cached", "would", "would", "would"]),
+    for edited, expected in (("mechanics/space/branch.py", ["cached", "cached", "would", "would", "would"]),
                              ("geometry/mesh.py", ["would"] * 5)):
         (copy / edited).write_text((copy / edited).read_text() + "# edited\n")
         assert states() == expected, edited

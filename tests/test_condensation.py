@@ -13,17 +13,17 @@ from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.geometry.plane.window import near_cells, window
-from xfemnav.mechanics.condensation import condense, with_rim
-from xfemnav.mechanics.elasticity import Material, Tissue, stiffness
-from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
-from xfemnav.mechanics.lip_modes import lip_modes
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.live_motion import LiveMotion, Soup
-from xfemnav.mechanics.outline import skull_conditions
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.conditions.skull import skull_conditions
+from xfemnav.mechanics.live.condensation import condense, with_rim
+from xfemnav.mechanics.live.incision import CutThrough, OutOfReach, incise
+from xfemnav.mechanics.live.lip_modes import lip_modes
+from xfemnav.mechanics.live.live_motion import LiveMotion, Soup
 from xfemnav.mechanics.rules import Basis, LipRules, Skull
-from xfemnav.mechanics.solution import solve
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.space.enrichment import enrich
+from xfemnav.mechanics.space.space import Space
+from xfemnav.mechanics.tissue.elasticity import Material, Tissue, stiffness
 
 # Both solve the same equations in another order; what remains is rounding times the condition of either, and the mark
 # for a live answer.

@@ -8,7 +8,15 @@ from numpy.testing import assert_allclose
 from scipy.sparse import csr_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.constraints import SKULL, Constraints, eliminate, multipliers, normal_rows, stack, vector_rows
+from xfemnav.mechanics.conditions.constraints import (
+    SKULL,
+    Constraints,
+    eliminate,
+    multipliers,
+    normal_rows,
+    stack,
+    vector_rows,
+)
 
 # Orthogonal factors of blocks of at most 30 rows with entries of size 1: a few dozen roundings.
 EXACT = 1e-12

@@ -14,11 +14,11 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.imaging.warp import pull_back
-from xfemnav.mechanics.contact import lip_contacts, lip_pressure
-from xfemnav.mechanics.elasticity import Material, stiffness
-from xfemnav.mechanics.lips import Retraction, lip_quadrature
+from xfemnav.mechanics.conditions.contact import lip_contacts, lip_pressure
+from xfemnav.mechanics.conditions.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.rules import Gravity, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material, stiffness
 
 MESH = disc(70.0, 4.0)
 CUT = cut_in(MESH, (3, 80), (1.7, 30.3))

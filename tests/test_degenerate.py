@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose
 from tests import cuts
 from tests.meshes import BRAIN, FREE, cut_in, grid, jittered, mapped, outline, posed
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.lips import Retraction, lip_quadrature
+from xfemnav.mechanics.conditions.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.rules import Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
 
 MESHES = [jittered(12.0, 10.0, 1.0, j, seed=int(100 * j)) for j in (0.0, 0.25, 0.35)] + [grid(10, 10.0)]
 SKULL = Skull("fixed", 2.0, 1.0)

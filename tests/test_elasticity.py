@@ -8,11 +8,11 @@ from benchmarks.verification import plane
 from tests import cuts
 from tests.meshes import BRAIN, cut_in, disc, grid, jittered, mapped, space_of, turn
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.branch import branch_gradients
-from xfemnav.mechanics.elasticity import Material, Tissue, hooke, mixed, plain_blocks, stiffness
-from xfemnav.mechanics.enrichment import BRANCH
-from xfemnav.mechanics.hyperelastic import gradient_operator
-from xfemnav.mechanics.quadrature import tip_rule
+from xfemnav.mechanics.solving.hyperelastic import gradient_operator
+from xfemnav.mechanics.space.branch import branch_gradients
+from xfemnav.mechanics.space.enrichment import BRANCH
+from xfemnav.mechanics.space.quadrature import tip_rule
+from xfemnav.mechanics.tissue.elasticity import Material, Tissue, hooke, mixed, plain_blocks, stiffness
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
 MATERIALS = [Material(3.0, 0.45), Material(3.0, 0.0, "strain"), Material(0.7, 0.3, "stress"), Material(3.0, 0.499)]

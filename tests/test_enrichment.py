@@ -13,8 +13,8 @@ from tests import cuts
 from tests.meshes import cut_in, disc, grid, jittered, outline, space_of
 from xfemnav.geometry.plane.cut import Cut, place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
-from xfemnav.mechanics.enrichment import BRANCH, HEAVISIDE, STANDARD, enrich
 from xfemnav.mechanics.rules import Basis
+from xfemnav.mechanics.space.enrichment import BRANCH, HEAVISIDE, STANDARD, enrich
 
 THIN = 1e-9  # mm: the slit that stands for the cut when supports are taken apart by polygon arithmetic
 

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 from scipy.sparse import csc_array
 
 from tests.meshes import BRAIN, jittered, space_of
-from xfemnav.mechanics.elasticity import Tissue, stiffness
-from xfemnav.mechanics.factor import NotPositiveDefinite, by_cholmod, by_superlu, factor
+from xfemnav.mechanics.solving.factor import NotPositiveDefinite, by_cholmod, by_superlu, factor
+from xfemnav.mechanics.tissue.elasticity import Tissue, stiffness
 
 without = pytest.mark.skipif(importlib.util.find_spec("sksparse") is None, reason="the extra cholmod is not installed")
 WAYS = [by_superlu, pytest.param(by_cholmod, marks=without), factor]

@@ -10,10 +10,10 @@ from data_synthetic.fields import Williams
 from tests.meshes import posed
 from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.fracture import PA_SQRT_M, stress_intensity
 from xfemnav.mechanics.rules import Gravity, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.intensity import PA_SQRT_M, stress_intensity
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 TIP = np.array([0.03, 0.0123])
 

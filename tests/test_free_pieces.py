@@ -17,12 +17,12 @@ from tests.meshes import BRAIN, cut_in, disc, outline, posed, turn
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.limits import SWAY
-from xfemnav.mechanics import outline as module
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.problem import Problem
+from xfemnav.mechanics.conditions import skull as module
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.conditions.problem import Problem
 from xfemnav.mechanics.rules import Arc, Gravity, Skull
-from xfemnav.mechanics.solution import Solution, solve
+from xfemnav.mechanics.solving.solution import Solution, solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 
 def polygon(rng):

@@ -66,7 +66,7 @@ SETTINGS, HOMES = ("tip_enrichment", "lip_constraint", "skull_gap_mm", "stress_s
 PARAMETERS = 8
 #: Functions with more: those of the public surface, which are called by keywords.
 MANY = {"xfemnav/imaging/companions.py: carry", "xfemnav/imaging/warp.py: update",
-        "xfemnav/mechanics/condensation.py: condense", "xfemnav/mechanics/fracture.py: _flux",
+        "xfemnav/mechanics/live/condensation.py: condense", "xfemnav/mechanics/solving/intensity.py: _flux",
         "xfemnav/pipeline/result.py: warp"}
 
 

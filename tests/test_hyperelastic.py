@@ -12,13 +12,14 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import orient
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.mechanics import hyperelastic, neo_hookean
-from xfemnav.mechanics.constraints import stack, vector_rows
-from xfemnav.mechanics.elasticity import Material, Tissue
-from xfemnav.mechanics.hyperelastic import organ
-from xfemnav.mechanics.lips import Retraction, crossings
+from xfemnav.mechanics.conditions.constraints import stack, vector_rows
+from xfemnav.mechanics.conditions.lips import Retraction, crossings
 from xfemnav.mechanics.rules import Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving import hyperelastic
+from xfemnav.mechanics.solving.hyperelastic import organ
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue import neo_hookean
+from xfemnav.mechanics.tissue.elasticity import Material, Tissue
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
 DISC = disc()

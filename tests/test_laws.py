@@ -13,18 +13,18 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import area_vectors
 from xfemnav.geometry.solid.levels import Level
 from xfemnav.geometry.solid.split import split
-from xfemnav.mechanics.constraints import SKULL, eliminate, normal_rows, vector_rows
-from xfemnav.mechanics.elasticity import Material, Tissue, hooke, plain_blocks, stiffness
-from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.loads import KPA_PER_MM, dead_loads, pressure_load, weight_load
-from xfemnav.mechanics.minimise import minimise
-from xfemnav.mechanics.nitsche import _tractions
-from xfemnav.mechanics.outline import skull_conditions
-from xfemnav.mechanics.pieces import free_motions, rigid_motions, sort_out
-from xfemnav.mechanics.quadrature import gauss_in_simplex, simplex_rule
-from xfemnav.mechanics.rim import rim_points
+from xfemnav.mechanics.conditions.bodies import free_motions, rigid_motions, sort_out
+from xfemnav.mechanics.conditions.constraints import SKULL, eliminate, normal_rows, vector_rows
+from xfemnav.mechanics.conditions.loads import KPA_PER_MM, dead_loads, pressure_load, weight_load
+from xfemnav.mechanics.conditions.nitsche import _tractions
+from xfemnav.mechanics.conditions.skull import skull_conditions
 from xfemnav.mechanics.rules import Gravity, Loads, Skull
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.solving.minimise import minimise
+from xfemnav.mechanics.space.enrichment import enrich
+from xfemnav.mechanics.space.quadrature import gauss_in_simplex, simplex_rule
+from xfemnav.mechanics.space.rim import rim_points
+from xfemnav.mechanics.space.space import Space
+from xfemnav.mechanics.tissue.elasticity import Material, Tissue, hooke, plain_blocks, stiffness
 
 SIZES = {2: 5, 3: 3}
 BRAIN = Material(3.0, 0.4)

@@ -9,8 +9,7 @@ from tests.eq_4 import paper_coefficients
 from tests.meshes import cut_in, grid, jittered, space_of
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.plane.cut import Cut
-from xfemnav.mechanics.enrichment import BRANCH
-from xfemnav.mechanics.lips import (
+from xfemnav.mechanics.conditions.lips import (
     Retraction,
     crossings,
     held_span,
@@ -19,6 +18,7 @@ from xfemnav.mechanics.lips import (
     mortar_rows,
     pointwise_rows,
 )
+from xfemnav.mechanics.space.enrichment import BRANCH
 
 MESH = jittered(20.0, 16.0, 1.0, 0.25, seed=0)
 CUT = cut_in(MESH, (-1, 7.13), (12.37, 8.71))

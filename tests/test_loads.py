@@ -9,11 +9,11 @@ from tests.meshes import cut_in, grid, jittered, outline, space_of
 from tests.test_resection import box
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.elasticity import Material, stiffness
-from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.loads import KPA_PER_MM, dead_loads, pressure_load, weight_load
+from xfemnav.mechanics.conditions.loads import KPA_PER_MM, dead_loads, pressure_load, weight_load
 from xfemnav.mechanics.rules import Gravity, Loads, Pressure
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.space.enrichment import enrich
+from xfemnav.mechanics.space.space import Space
+from xfemnav.mechanics.tissue.elasticity import Material, stiffness
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=4)
 

@@ -12,12 +12,12 @@ from tests.meshes import BRAIN, FREE, cut_in, disc, mapped, outline, posed, spac
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.plane.cut import Cut
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.measured import measured_at
-from xfemnav.mechanics.outline import skull_conditions
-from xfemnav.mechanics.rim import rim_points
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.conditions.measured import measured_at
+from xfemnav.mechanics.conditions.skull import skull_conditions
 from xfemnav.mechanics.rules import Measured, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.space.rim import rim_points
 
 MOUTH, TIP = (0.0, 40.0), (0.0, 12.0)
 CUT = Cut([MOUTH, TIP])

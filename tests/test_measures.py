@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from xfemnav.geometry.mesh import orient
-from xfemnav.mechanics.elasticity import Material, Tissue
-from xfemnav.mechanics.measures import densest, displacement_gradient, exceeded, measure
+from xfemnav.mechanics.solving.measures import densest, displacement_gradient, exceeded, measure
+from xfemnav.mechanics.tissue.elasticity import Material, Tissue
 
 AREA = 50.0
 

@@ -7,8 +7,8 @@ from scipy.optimize import minimize
 from scipy.sparse import csc_array, csr_array, eye_array
 
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.constraints import Contacts, Means
-from xfemnav.mechanics.minimise import minimise
+from xfemnav.mechanics.conditions.constraints import Contacts, Means
+from xfemnav.mechanics.solving.minimise import minimise
 
 
 def contacts(G, gap):

@@ -7,8 +7,8 @@ from scipy.optimize import minimize_scalar
 
 from benchmarks.verification import plane
 from tests.meshes import turn
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.neo_hookean import energy, stress, tangent
+from xfemnav.mechanics.tissue.elasticity import Material
+from xfemnav.mechanics.tissue.neo_hookean import energy, stress, tangent
 
 STATES = ["strain", "stress"]
 RATIOS = [0.0, 0.3, 0.45, 0.499]

@@ -15,8 +15,8 @@ from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.grading import data_ends
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.solving.solution import solve
 
 STEM = ((0, 77), (0, 30))  # drawn from outside; its lips are held on the first half of what lies inside
 BRANCH, FAR = ((0, 44), (15, 30)), ((-12, 52), (-22, 30))

@@ -3,8 +3,8 @@
 import pytest
 
 from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc, posed
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.solving.solution import solve
 
 
 @pytest.mark.parametrize("h", [2.0, 4.0])

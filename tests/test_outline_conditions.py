@@ -9,13 +9,13 @@ from tests.meshes import BRAIN, cut_in, disc, jittered, measured_outline, outlin
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.distmesh import distmesh
-from xfemnav.mechanics import outline as module
-from xfemnav.mechanics.constraints import SKULL
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.enrichment import BRANCH
-from xfemnav.mechanics.lips import Retraction
+from xfemnav.mechanics.conditions import skull as module
+from xfemnav.mechanics.conditions.constraints import SKULL
+from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.rules import Arc, Gravity, Measured, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.space.enrichment import BRANCH
+from xfemnav.mechanics.tissue.elasticity import Material
 
 MESH = disc()
 CUT = cut_in(MESH, (3, 80), (1.7, 12.3))

@@ -36,10 +36,10 @@ from tests.meshes import posed
 from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.imaging.warp import pull_back
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.quadrature import tip_rule
 from xfemnav.mechanics.rules import Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.space.quadrature import tip_rule
+from xfemnav.mechanics.tissue.elasticity import Material
 
 
 def run_phantom(grid, folder, scale=None):

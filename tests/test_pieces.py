@@ -10,11 +10,11 @@ from tests.test_resection import box, circle
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.imaging.warp import covered, enclosed, pull_back, update
-from xfemnav.mechanics import pieces
-from xfemnav.mechanics.constraints import vector_rows
-from xfemnav.mechanics.lips import Retraction, lip_quadrature
+from xfemnav.mechanics.conditions import bodies as pieces
+from xfemnav.mechanics.conditions.constraints import vector_rows
+from xfemnav.mechanics.conditions.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.rules import Arc, Gravity, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
 SKULL = Skull("fixed", 2.0, 1.0)

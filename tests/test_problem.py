@@ -27,10 +27,10 @@ from tests.meshes import (
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.distmesh import distmesh
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.lips import Retraction
+from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.rules import Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 MESH = disc()
 CUT = cut_in(MESH, (3, 80), (1.7, 12.3))

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import orient
-from xfemnav.mechanics.branch import branch_gradients
-from xfemnav.mechanics.quadrature import collapsed_rule, tip_rule
+from xfemnav.mechanics.space.branch import branch_gradients
+from xfemnav.mechanics.space.quadrature import collapsed_rule, tip_rule
 
 UNIT = np.array([[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]])
 TIP = np.zeros((1, 2))

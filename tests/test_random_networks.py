@@ -20,9 +20,9 @@ from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.geometry.plane.snapping import SNAP
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.lips import Retraction
+from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.rules import Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
 
 #: A drawn line may miss the organ, touch its outline, cross itself, free a piece, leave a blade nothing, and so on.
 LISTED = {"E301", "E302", "E303", "E304", "E305", "E306", "E310", "E311", "E312", "E402", "E403", "E405", "E406"}

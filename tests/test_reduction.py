@@ -7,12 +7,12 @@ from scipy.sparse import csc_array, eye_array
 from data_synthetic.fields import Williams
 from tests.meshes import BRAIN, cut_in, jittered
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.branch import branch_functions
-from xfemnav.mechanics.elasticity import stiffness
-from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.reduction import mode_combinations, node_blocks, owners, vector_tip_basis
 from xfemnav.mechanics.rules import Basis
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.solving.tip_basis import mode_combinations, node_blocks, owners, vector_tip_basis
+from xfemnav.mechanics.space.branch import branch_functions
+from xfemnav.mechanics.space.enrichment import enrich
+from xfemnav.mechanics.space.space import Space
+from xfemnav.mechanics.tissue.elasticity import stiffness
 
 
 def space(tip_enrichment, offset=None):

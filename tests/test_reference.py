@@ -98,7 +98,7 @@ def test_retraction_disc_agrees_with_the_reference():
     """xfemnav on 8,000 graded nodes, half held: .02 mm and .004 mm rms beyond 2 h of the cut."""
     from benchmarks.reference.cases import retraction
     from benchmarks.verification.retraction import compare, graded, posed
-    from xfemnav.mechanics.solution import solve
+    from xfemnav.mechanics.solving.solution import solve
 
     known = retraction(0.5)
     problem = posed(graded(8_000, 0.5), 0.5, "topological")
@@ -115,7 +115,7 @@ def test_swapped_lips_do_not_agree_with_the_reference():
     """The comparison sees what it should: the same retraction mirrored is far off."""
     from benchmarks.reference.cases import LIFT, retraction
     from benchmarks.verification.retraction import compare, graded, posed
-    from xfemnav.mechanics.solution import solve
+    from xfemnav.mechanics.solving.solution import solve
 
     known = retraction(0.5, refinement=0.5)
     problem = posed(graded(2_000, 0.5), 0.5, "topological", lift=LIFT * (1, -1))

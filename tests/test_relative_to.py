@@ -13,9 +13,9 @@ from tests.meshes import BRAIN, FREE, cut_in, disc, jittered, outline, posed
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.resection import place_resection
-from xfemnav.mechanics.lips import Retraction, lip_quadrature
+from xfemnav.mechanics.conditions.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.rules import Arc, Gravity, Pressure, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
 
 MESH = disc(70.0, 5.0)
 CUT = cut_in(MESH, (3, 80), (1.7, 12.3))

@@ -11,7 +11,7 @@ from xfemnav.geometry.plane.removal import take_out
 from xfemnav.geometry.plane.resection import inner_paths, place_resection
 from xfemnav.geometry.plane.snapping import SNAP
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.enrichment import enrich
+from xfemnav.mechanics.space.enrichment import enrich
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
 

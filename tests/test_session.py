@@ -20,11 +20,11 @@ from xfemnav import Session, XfemnavError
 from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.imaging.warp import covered, pull_back, update
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.incision import OutOfReach
-from xfemnav.mechanics.lips import Retraction
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.live.incision import OutOfReach
 from xfemnav.mechanics.rules import Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 from xfemnav.pipeline import session as module
 
 COARSE = {"element_size_mm": 6.0, "corridor_element_mm": 2.0}

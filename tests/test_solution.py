@@ -16,12 +16,12 @@ from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc, jittered, measured_out
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.mechanics import minimise
-from xfemnav.mechanics.elasticity import Material, stiffness
-from xfemnav.mechanics.lips import Retraction, crossings, lip_quadrature
-from xfemnav.mechanics.quadrature import tip_rule
+from xfemnav.mechanics.conditions.lips import Retraction, crossings, lip_quadrature
 from xfemnav.mechanics.rules import Arc, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving import minimise
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.space.quadrature import tip_rule
+from xfemnav.mechanics.tissue.elasticity import Material, stiffness
 
 MESH = disc()
 CUT = cut_in(MESH, (3, 80), (1.7, 12.3))

@@ -13,9 +13,9 @@ from tests.eq_4 import paper_coefficients
 from tests.meshes import cut_in, disc, grid, jittered, space_of
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.enrichment import BRANCH, enrich
 from xfemnav.mechanics.rules import Basis
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.space.enrichment import BRANCH, enrich
+from xfemnav.mechanics.space.space import Space
 
 MESH = jittered(12.0, 10.0, 1.0, 0.25, seed=25)
 # Values of hat functions: coordinates of size 10 over cells of size 1, a few roundings.

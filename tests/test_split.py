@@ -12,8 +12,8 @@ from xfemnav.geometry.mesh import area_vectors
 from xfemnav.geometry.plane.subcells import embed
 from xfemnav.geometry.solid.levels import Level, snapped
 from xfemnav.geometry.solid.split import split
-from xfemnav.mechanics.enrichment import enrich
 from xfemnav.mechanics.rules import Basis
+from xfemnav.mechanics.space.enrichment import enrich
 
 SIZES = {2: 6, 3: 4}
 NOTHING = 1e-9  # mm: rounding of functions of a few mm

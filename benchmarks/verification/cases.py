@@ -13,9 +13,9 @@ from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.plane.cut import Cut, place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.fracture import stress_intensity
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.intensity import stress_intensity
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 #: Radius of geometric enrichment and of the interaction integral's disc over the crack's (half-) length.
 ENRICHED, DISC = 0.6, 0.6

@@ -18,13 +18,13 @@ from xfemnav.geometry.plane.cut import Cut, place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.imaging.warp import pull_back
-from xfemnav.mechanics.contact import lip_contacts, lip_pressure
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.fracture import stress_intensity
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.problem import pose
+from xfemnav.mechanics.conditions.contact import lip_contacts, lip_pressure
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.conditions.problem import pose
 from xfemnav.mechanics.rules import LipRules, Rules, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.intensity import stress_intensity
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 ANGLES = (0, 15, 30, 45, 60, 75)
 

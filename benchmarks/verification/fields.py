@@ -6,7 +6,7 @@ Lengths mm, stresses kPa, K kPa mm^.5. Signs: K_I > 0 opens, K_II > 0 moves the 
 import numpy as np
 
 from benchmarks.verification import plane
-from xfemnav.mechanics.elasticity import Material
+from xfemnav.mechanics.tissue.elasticity import Material
 
 
 def williams(points, material: Material, K_I: float, K_II: float, above) -> np.ndarray:

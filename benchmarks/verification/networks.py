@@ -16,11 +16,11 @@ from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.grading import data_ends
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.lips import Retraction
-from xfemnav.mechanics.problem import Problem, pose
+from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.conditions.problem import Problem, pose
 from xfemnav.mechanics.rules import Basis, LipRules, Rules, Skull
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
+from xfemnav.mechanics.tissue.elasticity import Material
 
 CASES = NETWORKS | RESECTIONS
 #: Element size at the rim of a resection, mm, on 8,500 nodes.

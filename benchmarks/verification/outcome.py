@@ -7,12 +7,12 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import LinearOperator, cg, eigsh
 
 from benchmarks.verification import plane
-from xfemnav.mechanics.constraints import eliminate
-from xfemnav.mechanics.elasticity import stiffness
-from xfemnav.mechanics.factor import factor
-from xfemnav.mechanics.problem import Problem
-from xfemnav.mechanics.quadrature import tip_rule
-from xfemnav.mechanics.solution import Solution, scaled_basis
+from xfemnav.mechanics.conditions.constraints import eliminate
+from xfemnav.mechanics.conditions.problem import Problem
+from xfemnav.mechanics.solving.factor import factor
+from xfemnav.mechanics.solving.solution import Solution, scaled_basis
+from xfemnav.mechanics.space.quadrature import tip_rule
+from xfemnav.mechanics.tissue.elasticity import stiffness
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from benchmarks.verification.outcome import energy_error
 from benchmarks.verification.plates import cut_space, given_on_rim, plate_problem, rim
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.plane.cut import place_cut
-from xfemnav.mechanics.fracture import stress_intensity
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.intensity import stress_intensity
+from xfemnav.mechanics.solving.solution import solve
 
 NODES = 2_000
 OFFSETS = (0.0, *(10.0**-k for k in range(1, 15)))

@@ -8,12 +8,12 @@ from scipy.sparse import csr_array
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.constraints import SKULL, Constraints, Contacts, stack, vector_rows
-from xfemnav.mechanics.elasticity import Material
-from xfemnav.mechanics.enrichment import enrich
-from xfemnav.mechanics.problem import Problem
+from xfemnav.mechanics.conditions.constraints import SKULL, Constraints, Contacts, stack, vector_rows
+from xfemnav.mechanics.conditions.problem import Problem
 from xfemnav.mechanics.rules import Basis, Rules, Skull
-from xfemnav.mechanics.space import Space
+from xfemnav.mechanics.space.enrichment import enrich
+from xfemnav.mechanics.space.space import Space
+from xfemnav.mechanics.tissue.elasticity import Material
 
 
 def cut_space(mesh: Mesh, cuts: tuple[Cut, ...], tip_enrichment: str, tip_radius_mm: float | None = None) -> Space:

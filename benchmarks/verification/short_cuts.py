@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.verification import cases
 from benchmarks.verification.plates import cut_space, plate_problem, rim, supports, traction_load
 from xfemnav.geometry.plane.cut import Cut
-from xfemnav.mechanics.solution import solve
+from xfemnav.mechanics.solving.solution import solve
 
 WIDTH, HEIGHT, NODES = 2.0, 3.0, 2_700
 LENGTHS = (2.0, 1.0, 0.5, 0.3, 0.1, 0.05)  # in elements

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from xfemnav.geometry.motion import Motion
     from xfemnav.imaging.slices import Slice
     from xfemnav.imaging.warp import PullBack
-    from xfemnav.mechanics.condensation import Condensation
-    from xfemnav.mechanics.live_cut import LiveCut
-    from xfemnav.mechanics.solution import RetractorForce
+    from xfemnav.mechanics.live.condensation import Condensation
+    from xfemnav.mechanics.live.live_cut import LiveCut
+    from xfemnav.mechanics.solving.solution import RetractorForce
 
 NAME = "cut"
 INTERP, OUTSIDE = ("linear", "cubic", "nearest"), ("keep", "zero")
@@ -80,7 +80,7 @@ class Session:
 
         settle_kernel_cache()  # before kernels are imported
         spare_the_run()
-        from xfemnav.mechanics.live_cut import LiveCut
+        from xfemnav.mechanics.live.live_cut import LiveCut
 
         if corridor is not None and "cut" in flags:
             raise XfemnavError("E780", "corridor and cut both say where cuts are planned: give the corridor alone.")
@@ -201,8 +201,8 @@ class Session:
 
     def _incised(self, placed) -> "LiveCut":
         """The organ with a cut in it, condensed anew where that is out of reach."""
-        from xfemnav.mechanics.incision import CutThrough, OutOfReach, incise
-        from xfemnav.mechanics.live_cut import LiveCut
+        from xfemnav.mechanics.live.incision import CutThrough, OutOfReach, incise
+        from xfemnav.mechanics.live.live_cut import LiveCut
 
         organ, how = self._now.live.soup.organ, self._settings.rules.basis
         try:
@@ -222,7 +222,7 @@ class Session:
 
     def _condensed(self, plan) -> "Condensation":
         """The organ condensed about a planned cut, uncut and at rest."""
-        from xfemnav.mechanics.condensation import condense, tip_reach
+        from xfemnav.mechanics.live.condensation import condense, tip_reach
 
         settings, mouths = self._settings, plan.path[:1] if plan.mouth and plan.craniotomy else ()
         skull = replace(settings.skull, border=self._border)

@@ -15,8 +15,8 @@ def _placed(cuts, paths, outline, others=()):
 
 def compute(params, inputs):
     """The cuts embedded in the mesh, and the conditions on lips and outline: a Problem."""
-    from xfemnav.mechanics.lips import Retraction
-    from xfemnav.mechanics.problem import pose
+    from xfemnav.mechanics.conditions.lips import Retraction
+    from xfemnav.mechanics.conditions.problem import pose
 
     slice, segmentation = inputs.value("segment")
     mesh = inputs.value("mesh")
@@ -165,7 +165,7 @@ def tissue(params, mesh, inputs):
 
     from xfemnav.errors import warn
     from xfemnav.imaging.labels import label_shares
-    from xfemnav.mechanics.elasticity import Material, mixed
+    from xfemnav.mechanics.tissue.elasticity import Material, mixed
 
     rest = Material.of(params.solid)
     if not params.labels:

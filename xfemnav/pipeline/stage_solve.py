@@ -8,7 +8,7 @@ SIDES = (("left", 1), ("right", -1))
 def compute(params, inputs):
     """The motion of the tissue: a Solution."""
     from xfemnav.errors import warn
-    from xfemnav.mechanics.solution import solve
+    from xfemnav.mechanics.solving.solution import solve
 
     solution = solve(inputs.value("constrain"))
     if solution.inverted_mm2 > FOLDED_NOTICE.value:
@@ -20,7 +20,7 @@ def compute(params, inputs):
 
 def facts(value, params, inputs):
     """What run.json says of the stage."""
-    from xfemnav.mechanics.measures import measure
+    from xfemnav.mechanics.solving.measures import measure
 
     problem = inputs.value("constrain")
     names, measured = [cut.name for cut in problem.cuts], measure(problem, value)

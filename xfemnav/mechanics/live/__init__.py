@@ -1,0 +1,1 @@
+"""The organ condensed once, and cuts and blades that move in it."""

@@ -1,0 +1,1 @@
+"""From a problem to its solution, and what to think of it."""

@@ -1,0 +1,1 @@
+"""The finite element space: basis functions on parts, and quadrature."""

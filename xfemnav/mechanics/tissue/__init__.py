@@ -1,0 +1,1 @@
+"""What tissue resists: constitutive laws and stiffness."""
