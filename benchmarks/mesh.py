@@ -21,7 +21,7 @@ from scipy.ndimage import map_coordinates
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.rail import outline_nodes, rail_nodes
-from xfemnav.imaging.outline import outline_of
+from xfemnav.imaging.organ.outline import outline_of
 
 #: Number of nodes, and repetitions.
 TARGETS = {1_000: 7, 5_000: 7, 20_000: 5, 80_000: 5}

@@ -5,7 +5,7 @@ import shapely
 from scipy.sparse import csr_array
 
 from xfemnav.geometry.plane.snapping import SEVER
-from xfemnav.imaging.warp import sample_into
+from xfemnav.imaging.carrying.warp import sample_into
 from xfemnav.mechanics.conditions.lips import LEFT, lip_quadrature
 from xfemnav.mechanics.space.space import Space
 

@@ -26,8 +26,8 @@ from benchmarks.mesh import brain_outline
 from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.imaging.outline import outline_of
-from xfemnav.imaging.warp import covered, enclosed, pull_back, update
+from xfemnav.imaging.carrying.warp import covered, enclosed, pull_back, update
+from xfemnav.imaging.organ.outline import outline_of
 from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.problem import pose
 from xfemnav.mechanics.rules import Skull

@@ -31,10 +31,10 @@ from scipy import ndimage
 from benchmarks.verification.segmentation_page import write_page
 from data_synthetic.heads import CONTRASTS, Head
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.masks import dice, one_piece
-from xfemnav.imaging.reading import Image, read_image
-from xfemnav.imaging.segment import segment
-from xfemnav.imaging.slices import Slice, take_slice
+from xfemnav.imaging.frames.slices import Slice, take_slice
+from xfemnav.imaging.organ.masks import dice, one_piece
+from xfemnav.imaging.organ.segment import segment
+from xfemnav.imaging.reading.gate import Image, read_image
 
 RESULTS = Path("benchmarks/results/segmentation.json")
 CONTRAST = re.compile(r"^(t1|t2|pd|flair|head)", re.IGNORECASE)

@@ -15,8 +15,8 @@ import SimpleITK as sitk
 from scipy.ndimage import map_coordinates
 from scipy.spatial import Delaunay
 
-from xfemnav.imaging.voxels import sample_volume
-from xfemnav.imaging.warp import covered, pull_back, update
+from xfemnav.imaging.carrying.voxels import sample_volume
+from xfemnav.imaging.carrying.warp import covered, pull_back, update
 
 NODES, SIZE, REPEATS = 5_000, 512, 9
 LINEAR, ITK = "matplotlib: LinearTriInterpolator, map", "SimpleITK: Resample by displacement field, linear"

@@ -70,7 +70,7 @@ def read_manifest(path: Path, target: Path) -> list[Item]:
     Cells are as on the command line, given in the manifest's folder: from there paths lead, and they may lead anywhere.
     n/a, or nothing, is not given. A column that comes twice is given twice. Raises click.UsageError.
     """
-    from xfemnav.imaging.content import decoded, file_bytes
+    from xfemnav.imaging.reading.content import decoded, file_bytes
     from xfemnav.pipeline.scenario_file import LIMIT_BYTES
 
     try:

@@ -9,9 +9,9 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from data_synthetic.phantom import GRIDS, Phantom
-from xfemnav.imaging.masks import one_piece
-from xfemnav.imaging.reading import Image
-from xfemnav.imaging.slices import Slice, take_slice
+from xfemnav.imaging.frames.slices import Slice, take_slice
+from xfemnav.imaging.organ.masks import one_piece
+from xfemnav.imaging.reading.gate import Image
 
 ORDERS = list(product(permutations(range(3)), product((False, True), repeat=3)))  # 48 storage orders
 

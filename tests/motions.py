@@ -6,7 +6,7 @@ import SimpleITK as sitk
 
 from data_synthetic.phantom import Grid, Phantom, perfect_solution
 from tests.images import image_of, stored
-from xfemnav.imaging.slices import PLANES, Slice, take_slice, to_nifti
+from xfemnav.imaging.frames.slices import PLANES, Slice, take_slice, to_nifti
 
 GRID = Grid((100, 130), (2.0, 1.6), "LAS")
 PHANTOM = Phantom(grid=GRID)

@@ -14,7 +14,7 @@ from tests.fuzz import flips
 from tests.fuzz.intact import FORMATS
 from tests.fuzz.targets import fed, finished, seeds
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.reading import read_image
+from xfemnav.imaging.reading.gate import read_image
 from xfemnav.pipeline.cache import Cache
 from xfemnav.pipeline.config import scenario_problems
 from xfemnav.pipeline.result import Result

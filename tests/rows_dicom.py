@@ -13,9 +13,9 @@ from tests.test_dicom_bounds import BOMBS, deflated
 from tests.test_dicom_kinds import AFFINE, TWELVE, by_itk, compressed, enhanced, one
 from tests.test_transform import room_for
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.reading import read_image
-from xfemnav.imaging.transform import write_transform
-from xfemnav.imaging.vectors import write_nrrd
+from xfemnav.imaging.carrying.transform import write_transform
+from xfemnav.imaging.carrying.vectors import write_nrrd
+from xfemnav.imaging.reading.gate import read_image
 from xfemnav.pipeline.disk import writing
 
 VOLUME = image_of(TWELVE[:, :, :1] + np.arange(4), AFFINE)

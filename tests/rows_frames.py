@@ -10,8 +10,8 @@ from small import CUT, RAS, brain, write
 import xfemnav
 from tests.headers import itk_affine, two_frames
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.point_files import read_points
-from xfemnav.imaging.reading import read_image
+from xfemnav.imaging.points.point_files import read_points
+from xfemnav.imaging.reading.gate import read_image
 from xfemnav.pipeline.config import scenario_problems
 from xfemnav.pipeline.inputs import recorded
 

@@ -10,7 +10,7 @@ from small import RAS, brain, write
 import xfemnav
 from tests.test_heads import roofed
 from xfemnav.errors import XfemnavWarning
-from xfemnav.imaging.masks import dice
+from xfemnav.imaging.organ.masks import dice
 
 SMALL = {"element_size_mm": 8, "corridor_element_mm": 4, "report": False}
 

@@ -17,8 +17,8 @@ import xfemnav
 from tests.fuzz.surface_seeds import SEEDS, stl, vtp
 from tests.rows import Row
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.surface_files import read_surface
-from xfemnav.imaging.tract_files import read_streamlines
+from xfemnav.imaging.points.surface_files import read_surface
+from xfemnav.imaging.points.tract_files import read_streamlines
 from xfemnav.pipeline.apply import apply
 
 LINE = np.array([[-30.0, -10, 10], [-30, 30, 10]])

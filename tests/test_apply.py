@@ -14,10 +14,10 @@ from nibabel.streamlines import Tractogram
 from small import CUT, QUICK, brain, write, xfemnav
 
 import xfemnav as package
-from xfemnav.imaging.point_files import read_points, write_points
-from xfemnav.imaging.points import PointSet
-from xfemnav.imaging.stl import FACET
-from xfemnav.imaging.surface_files import read_surface
+from xfemnav.imaging.points.point_files import read_points, write_points
+from xfemnav.imaging.points.point_set import PointSet
+from xfemnav.imaging.points.stl import FACET
+from xfemnav.imaging.points.surface_files import read_surface
 from xfemnav.pipeline import disk, locks
 from xfemnav.pipeline.apply import Choices, apply, output_name
 
@@ -212,7 +212,7 @@ def test_nothing_is_overwritten(home, result, tmp_path):
 
 
 def test_all_or_nothing(home, result, tmp_path, monkeypatch):
-    from xfemnav.imaging import point_files
+    from xfemnav.imaging.points import point_files
 
     def half(path, points):
         path.write_text("half")

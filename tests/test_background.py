@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.background import asked_blank, blank_of, corner_values, warn_of_blank
+from xfemnav.imaging.carrying.background import asked_blank, blank_of, corner_values, warn_of_blank
 
 SHAPE = (60, 80)
 X, Y = np.meshgrid(*(np.linspace(-1, 1, n) for n in SHAPE), indexing="ij")

@@ -11,7 +11,7 @@ from small import CUT, OPEN, QUICK, write, xfemnav
 
 from tests.images import ORDERS, affine_of, image_of, stored
 from xfemnav.geometry.plane.cut import Cut
-from xfemnav.imaging.slices import take_slice
+from xfemnav.imaging.frames.slices import take_slice
 from xfemnav.pipeline.bearings import Bearings, told, towards
 
 PLAIN = np.eye(3)

@@ -11,8 +11,8 @@ from tests.images import slice_of
 from tests.meshes import BRAIN, cut_in, disc, posed, space_of
 from tests.small import RAS, brain, write
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.segment import segment
-from xfemnav.imaging.slices import touching
+from xfemnav.imaging.frames.slices import touching
+from xfemnav.imaging.organ.segment import segment
 from xfemnav.mechanics.conditions.skull import skull_conditions
 from xfemnav.mechanics.rules import Skull
 from xfemnav.pipeline.session import Session

@@ -10,12 +10,12 @@ from data_synthetic.fields import rigid
 from data_synthetic.phantom import MOTIONS, OPEN, TIP, Grid, Phantom, perfect_solution, side_of
 from tests.images import ORDERS, affine_of, image_of, stored
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.companions import carry
-from xfemnav.imaging.formats import NOT_SAID
-from xfemnav.imaging.nifti import VECTORS
-from xfemnav.imaging.reading import Components, Image
-from xfemnav.imaging.slices import take_slice
-from xfemnav.imaging.warp import covered, pull_back, update
+from xfemnav.imaging.carrying.companions import carry
+from xfemnav.imaging.carrying.warp import covered, pull_back, update
+from xfemnav.imaging.frames.slices import take_slice
+from xfemnav.imaging.reading.formats import NOT_SAID
+from xfemnav.imaging.reading.gate import Components, Image
+from xfemnav.imaging.reading.nifti import VECTORS
 
 FLOAT32 = 1e-6  # relative: what a result stored as float32 keeps of numbers near 1
 TILT = np.array([[0.96, -0.28, 0.0], [0.28 * 0.8, 0.96 * 0.8, -0.6], [0.28 * 0.6, 0.96 * 0.6, 0.8]])    # a rotation

@@ -13,7 +13,7 @@ from tests.meshes import BRAIN, FREE, HARD_SKULL, cut_in, disc, grid, jittered, 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.resection import place_resection
-from xfemnav.imaging.warp import pull_back
+from xfemnav.imaging.carrying.warp import pull_back
 from xfemnav.mechanics.conditions.contact import lip_contacts, lip_pressure
 from xfemnav.mechanics.conditions.lips import Retraction, lip_quadrature
 from xfemnav.mechanics.rules import Gravity, Skull

@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from tests.images import affine_of, image_of
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.companions import carry
-from xfemnav.imaging.kinds import read_companion
-from xfemnav.imaging.slices import take_slice
-from xfemnav.imaging.warp import covered, pull_back, update
+from xfemnav.imaging.carrying.companions import carry
+from xfemnav.imaging.carrying.kinds import read_companion
+from xfemnav.imaging.carrying.warp import covered, pull_back, update
+from xfemnav.imaging.frames.slices import take_slice
 
 LPS = np.diag([-1.0, -1.0, 1.0])
 UPPER, LOWER, DIAGONAL_FIRST = (

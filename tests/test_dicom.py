@@ -20,8 +20,8 @@ from pydicom.uid import (
 
 from tests.images import ORDERS, image_of, oblique_volume, stored, values_at
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
-from xfemnav.imaging.dicom import _check_fragments
-from xfemnav.imaging.reading import content_digest, read_components, read_image
+from xfemnav.imaging.reading.dicom import _check_fragments
+from xfemnav.imaging.reading.gate import content_digest, read_components, read_image
 
 FLIP = np.diag([-1.0, -1, 1, 1])
 SERIES = generate_uid()

@@ -23,8 +23,8 @@ from tests.images import image_of
 from tests.test_dicom import code_of, write_series
 from tests.test_dicom_kinds import AFFINE, RNG, TWELVE, compressed, one
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.content import Forwards
-from xfemnav.imaging.reading import read_image
+from xfemnav.imaging.reading.content import Forwards
+from xfemnav.imaging.reading.gate import read_image
 
 # Deflated -------------------------------------------------------------------------------------------------------------
 
@@ -176,7 +176,7 @@ def test_a_stream_that_is_cut_off_inside_whole_fragments(tmp_path, syntax, capfd
 def test_closed_stderr_stays_closed(tmp_path):
     folder, path = one(TWELVE, tmp_path / "s")
     compressed(path, JPEGLosslessSV1)
-    code = f"import xfemnav.imaging.reading as reading; print(reading.read_image({str(folder)!r}).values.sum())"
+    code = f"import xfemnav.imaging.reading.gate as reading; print(reading.read_image({str(folder)!r}).values.sum())"
     done = subprocess.run(f"exec 2>&-; {sys.executable} -c {shlex.quote(code)}", shell=True, capture_output=True,
                           text=True, check=True)
     assert float(done.stdout) == TWELVE.sum()

@@ -25,8 +25,8 @@ from pydicom.uid import (
 from tests.images import affine_of, image_of
 from tests.test_dicom import code_of, compress_by_gdcm, set_one, write_series
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.dicom import _check_fragments
-from xfemnav.imaging.reading import read_image
+from xfemnav.imaging.reading.dicom import _check_fragments
+from xfemnav.imaging.reading.gate import read_image
 
 AFFINE = affine_of(np.diag([1.0, 1.0, 3.0]))
 RNG = np.random.default_rng(3)
@@ -260,7 +260,7 @@ def test_reading_nifti_loads_neither_pydicom_nor_h5py(tmp_path):
     """Nor does nibabel, which would if it could; what somebody else has loaded stays."""
     path = tmp_path / "x.nii.gz"
     nibabel.save(nibabel.Nifti1Image(np.ones((4, 4, 1)), np.eye(4)), path)
-    read = ("import sys, xfemnav.imaging.reading as reading, xfemnav.imaging.transform; "
+    read = ("import sys, xfemnav.imaging.reading.gate as reading, xfemnav.imaging.carrying.transform; "
             f"reading.read_image({str(path)!r}); print(*({{'pydicom', 'h5py'}} & set(sys.modules)))")
     for before, loaded in (("", ""), ("import pydicom; ", "pydicom")):
         done = subprocess.run([sys.executable, "-c", before + read], capture_output=True, text=True, check=True)

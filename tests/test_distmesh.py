@@ -12,7 +12,7 @@ from data_synthetic.masks import KINDS, random_mask
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.distmesh import distmesh, expected_nodes
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.imaging.outline import outline_of
+from xfemnav.imaging.organ.outline import outline_of
 
 RECTANGLE = np.array([[0.0, 0], [7, 0], [7, 16], [0, 16]])
 

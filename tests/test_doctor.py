@@ -8,23 +8,11 @@ import numpy as np
 import pytest
 from small import xfemnav
 
-from xfemnav.imaging import (
-    companions,
-    conventions,
-    frames,
-    known,
-    landmarks,
-    markups,
-    mgh,
-    nrrd,
-    point_tables,
-    roundtrip,
-    surface_files,
-    surfaces,
-    transform,
-    vectors,
-    warp,
-)
+from xfemnav.imaging.carrying import companions, landmarks, surfaces, transform, vectors, warp
+from xfemnav.imaging.points import markups, point_tables, surface_files
+from xfemnav.imaging.reading import conventions, mgh, nrrd
+from xfemnav.imaging.reading import nifti_frames as frames
+from xfemnav.imaging.selftest import known, roundtrip
 from xfemnav.pipeline import doctor, files, kernels
 
 CHECKS = {what: check for what, check, _ in roundtrip.CHECKS}

@@ -18,8 +18,8 @@ import xfemnav as package
 from data_synthetic import files, surgery
 from data_synthetic.phantom import Phantom
 from xfemnav.errors import XfemnavWarning
-from xfemnav.imaging.markups import write_markups
-from xfemnav.imaging.points import PointSet
+from xfemnav.imaging.points.markups import write_markups
+from xfemnav.imaging.points.point_set import PointSet
 
 ROOT = Path(__file__).parents[1]
 PAGES = ["README.md", *sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("docs/**/*.md"))]

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from tests.images import ORDERS, affine_of, image_of, oblique_volume, stored, values_at
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
-from xfemnav.imaging.reading import content_digest, read_components, read_image
+from xfemnav.imaging.reading.gate import content_digest, read_components, read_image
 
 FLIP = np.diag([-1.0, -1, 1, 1])
 ITK = ["v.nrrd", "z.nrrd", "v.nhdr", "z.nhdr", "v.mha", "z.mha", "v.mhd", "z.mhd"]  # z: compressed

@@ -18,11 +18,11 @@ from tests.motions import turned
 from tests.test_dicom import write_series
 from tests.test_formats import write as write_volume
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.landmarks import moved_points
-from xfemnav.imaging.point_files import PointSet, read_points, write_points
-from xfemnav.imaging.reading import read_image
-from xfemnav.imaging.slices import take_slice, to_nifti
-from xfemnav.imaging.warp import covered, pull_back, update
+from xfemnav.imaging.carrying.landmarks import moved_points
+from xfemnav.imaging.carrying.warp import covered, pull_back, update
+from xfemnav.imaging.frames.slices import take_slice, to_nifti
+from xfemnav.imaging.points.point_files import PointSet, read_points, write_points
+from xfemnav.imaging.reading.gate import read_image
 
 # The phantom's grid, the thickness of slices in mm, the turn in degrees.
 GRIDS = {"isotropic": (Grid((152, 178), (1.1, 1.1)), 1.1, 0.0),

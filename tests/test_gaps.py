@@ -7,8 +7,8 @@ from scipy.ndimage import binary_dilation
 
 from tests.motions import GRID, MOVED, REST
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.gaps import NOWHERE, bridged, extended
-from xfemnav.imaging.warp import covered, pull_back
+from xfemnav.imaging.carrying.gaps import NOWHERE, bridged, extended
+from xfemnav.imaging.carrying.warp import covered, pull_back
 
 TISSUE = Motion(REST, MOVED)
 

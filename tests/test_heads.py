@@ -11,10 +11,10 @@ from data_synthetic.heads import CONTRASTS, CSF, HALF_HEIGHT, SCALP, SKULL, Head
 from data_synthetic.phantom import BRAIN, Grid
 from tests.images import affine_of, brain, image_of
 from xfemnav.errors import XfemnavWarning
-from xfemnav.imaging.masks import dice, one_piece
-from xfemnav.imaging.segment import segment
-from xfemnav.imaging.slices import take_slice
-from xfemnav.imaging.stripped import judge
+from xfemnav.imaging.frames.slices import take_slice
+from xfemnav.imaging.organ.masks import dice, one_piece
+from xfemnav.imaging.organ.segment import segment
+from xfemnav.imaging.organ.stripped import judge
 
 COARSE = Grid((128, 150), (1.5, 1.5))
 

@@ -17,7 +17,7 @@ SOURCES = {path.relative_to(ROOT).as_posix(): ast.parse(path.read_text())
            for folder in ("xfemnav", "cli") for path in sorted((ROOT / folder).rglob("*.py"))}
 LINES, BODY, LONG_SHARE = 400, 30, 0.015
 #: Above the parts of a mesh, files that tell the plane from space: users give points of a slice, or of the world.
-PLANE_OR_WORLD = {"xfemnav/imaging/landmarks.py", "xfemnav/imaging/slices.py", "xfemnav/pipeline/result.py",
+PLANE_OR_WORLD = {"xfemnav/imaging/carrying/landmarks.py", "xfemnav/imaging/frames/slices.py", "xfemnav/pipeline/result.py",
                   "xfemnav/pipeline/session.py"}
 ABOVE_PARTS = ("xfemnav/mechanics/", "xfemnav/imaging/", "xfemnav/pipeline/", "cli/")
 CODE = re.compile(r"\b[EW]\d{3}\b")
@@ -65,7 +65,7 @@ SETTINGS, HOMES = ("tip_enrichment", "lip_constraint", "skull_gap_mm", "stress_s
 #: Most parameters of a function; kernels, which have no values to hold them in, may have more.
 PARAMETERS = 8
 #: Functions with more: those of the public surface, which are called by keywords.
-MANY = {"xfemnav/imaging/companions.py: carry", "xfemnav/imaging/warp.py: update",
+MANY = {"xfemnav/imaging/carrying/companions.py: carry", "xfemnav/imaging/carrying/warp.py: update",
         "xfemnav/mechanics/live/condensation.py: condense", "xfemnav/mechanics/solving/intensity.py: _flux",
         "xfemnav/pipeline/result.py: warp"}
 

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from tests.images import affine_of, image_of
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.kinds import kind_of, read_companion
+from xfemnav.imaging.carrying.kinds import kind_of, read_companion
 
 AFFINE = affine_of(np.eye(3))
 

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 
 from tests.meshes import disc
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.labels import label_shares
-from xfemnav.imaging.reading import read_image
-from xfemnav.imaging.slices import take_slice
+from xfemnav.imaging.frames.slices import take_slice
+from xfemnav.imaging.organ.labels import label_shares
+from xfemnav.imaging.reading.gate import read_image
 
 MESH = disc(40.0, 4.0)
 

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from data_synthetic.phantom import MOUTH, OPEN, TIP, TRAVEL, Phantom, landmarks, outline, perfect_solution
 from tests.images import affine_of, image_of
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.landmarks import moved_points, resting_points
-from xfemnav.imaging.slices import take_slice
+from xfemnav.imaging.carrying.landmarks import moved_points, resting_points
+from xfemnav.imaging.frames.slices import take_slice
 
 PHANTOM = Phantom()
 REST, MOVED = perfect_solution(PHANTOM)

@@ -100,7 +100,7 @@ def test_imports_keep_to_the_layers(path):
 
 
 @pytest.mark.parametrize("layer, source", [
-    ("mechanics", "from xfemnav.imaging.warp import pull_back"),
+    ("mechanics", "from xfemnav.imaging.carrying.warp import pull_back"),
     ("imaging", "import xfemnav.mechanics.solving.solution"),
     ("geometry", "def f():\n    from xfemnav.pipeline import store"),
     ("pipeline", "from xfemnav_cli.main import main"),

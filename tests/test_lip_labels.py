@@ -8,8 +8,8 @@ from scipy.ndimage import binary_dilation, label
 from data_synthetic.phantom import cut_path, side_of
 from tests.motions import GRID, MOVED, REST
 from tests.test_motion import PATH, parted, triangles
-from xfemnav.imaging.lip_labels import LEFT, RIGHT, lip_labels
-from xfemnav.imaging.warp import covered, pull_back
+from xfemnav.imaging.carrying.lip_labels import LEFT, RIGHT, lip_labels
+from xfemnav.imaging.carrying.warp import covered, pull_back
 
 
 def opened(rest, moved, origin, spacing, shape):

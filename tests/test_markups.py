@@ -10,8 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.markups import write_markups
-from xfemnav.imaging.point_files import LIMIT_BYTES, PointSet, read_control_points, read_points, write_points
+from xfemnav.imaging.points.markups import write_markups
+from xfemnav.imaging.points.point_files import LIMIT_BYTES, PointSet, read_control_points, read_points, write_points
 
 RAS_POINTS = np.array([[-10.5, 20.25, 30.0], [-12.0, 8.125, 31.5], [-20.0, 4.0, 33.0]])
 IDENTITY = [-1.0, -0.0, -0.0, -0.0, -1.0, -0.0, 0.0, 0.0, 1.0]

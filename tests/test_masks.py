@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.gaps import NEIGHBOURS
-from xfemnav.imaging.masks import components, filled, largest_component, one_piece, touched
-from xfemnav.imaging.outline import MARGIN, SIGMA, _smoothed
+from xfemnav.imaging.carrying.gaps import NEIGHBOURS
+from xfemnav.imaging.organ.masks import components, filled, largest_component, one_piece, touched
+from xfemnav.imaging.organ.outline import MARGIN, SIGMA, _smoothed
 
 ROUND = ndimage.generate_binary_structure(2, 2)
 

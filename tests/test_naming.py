@@ -13,7 +13,7 @@ from small import CUT, OPEN, QUICK, write, xfemnav
 
 import xfemnav as package
 from xfemnav.errors import FAULTS, XfemnavError
-from xfemnav.imaging.reading import read_image
+from xfemnav.imaging.reading.gate import read_image
 from xfemnav.naming import ARGUMENTS, MARK, kept, said, told
 from xfemnav.pipeline.flags import keys
 from xfemnav.pipeline.scenario import Scenario

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import binary_fill_holes, gaussian_filter
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.masks import one_piece
-from xfemnav.imaging.outline import outline_of, rings_of_mask
+from xfemnav.imaging.organ.masks import one_piece
+from xfemnav.imaging.organ.outline import outline_of, rings_of_mask
 
 ORIGIN = np.array([-31.0, 12.0])
 

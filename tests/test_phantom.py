@@ -36,7 +36,7 @@ from data_synthetic.phantom import (
 )
 from xfemnav.geometry.mesh import orient
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.warp import covered, pull_back, update
+from xfemnav.imaging.carrying.warp import covered, pull_back, update
 
 
 @pytest.fixture(scope="module")

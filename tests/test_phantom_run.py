@@ -35,7 +35,7 @@ from data_synthetic.phantom import (
 from tests.meshes import posed
 from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
-from xfemnav.imaging.warp import pull_back
+from xfemnav.imaging.carrying.warp import pull_back
 from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.space.quadrature import tip_rule

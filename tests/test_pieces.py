@@ -9,7 +9,7 @@ from tests.meshes import BRAIN, cut_in, jittered, outline, posed
 from tests.test_resection import box, circle
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.plane.resection import place_resection
-from xfemnav.imaging.warp import covered, enclosed, pull_back, update
+from xfemnav.imaging.carrying.warp import covered, enclosed, pull_back, update
 from xfemnav.mechanics.conditions import bodies as pieces
 from xfemnav.mechanics.conditions.constraints import vector_rows
 from xfemnav.mechanics.conditions.lips import Retraction, lip_quadrature

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.point_files import PointSet, frame_suspicion, read_control_points, read_points, write_points
+from xfemnav.imaging.points.point_files import PointSet, frame_suspicion, read_control_points, read_points, write_points
 
 RAS_POINTS = np.array([[-10.5, 20.25, 30.0], [-12.0, 8.125, 31.5]])
 

@@ -29,7 +29,7 @@ def python(*arguments, cwd=None):
 
 def test_names_are_the_public_ones_before_and_after_they_are_used():
     code = ("import xfemnav, rlcompleter; before = dir(xfemnav), sorted(xfemnav.__all__);"
-            "xfemnav.Session, xfemnav.run; import xfemnav.imaging.slices; from xfemnav import *;"
+            "xfemnav.Session, xfemnav.run; import xfemnav.imaging.frames.slices; from xfemnav import *;"
             "found = rlcompleter.Completer({'xfemnav': xfemnav}).attr_matches('xfemnav.');"
             "print([*before, dir(xfemnav)], [name for name in found if not name.startswith('xfemnav._')])")
     done = python("-c", code)

@@ -13,8 +13,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
-from xfemnav.imaging.reading import content_digest, read_components, read_image
-from xfemnav.imaging.slices import take_slice, to_nifti
+from xfemnav.imaging.frames.slices import take_slice, to_nifti
+from xfemnav.imaging.reading.gate import content_digest, read_components, read_image
 
 AFFINE = np.array([[0.9, 0, 0, -40], [0, 1.1, 0, -50], [0, 0, 2.0, 7], [0, 0, 0, 1]])
 

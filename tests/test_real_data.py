@@ -16,7 +16,7 @@ from small import xfemnav
 
 from tests.images import image_of
 from tests.test_dicom import write_series
-from xfemnav.imaging.point_files import PointSet, read_points, write_points
+from xfemnav.imaging.points.point_files import PointSet, read_points, write_points
 from xfemnav.pipeline.demo import CUT, LIPS, SLICE
 
 DATA = Path(nilearn.__file__).parent / "datasets" / "data"

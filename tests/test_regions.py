@@ -12,8 +12,8 @@ from tests.images import affine_of, image_of, slice_of
 from xfemnav import run
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.plane.resection import even_odd
-from xfemnav.imaging.masks import mask_of
-from xfemnav.imaging.regions import marked, outlined, sizeable, warn_of_left
+from xfemnav.imaging.organ.masks import mask_of
+from xfemnav.imaging.organ.regions import marked, outlined, sizeable, warn_of_left
 
 FRAME = slice_of(np.zeros((60, 50)))
 ORGAN = shapely.box(-1, -1, 60, 50)

@@ -9,10 +9,10 @@ from scipy import ndimage
 
 from tests.images import ORDERS, brain, head_of, image_of, phantom_head, slice_of, stored
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.masks import dice, one_piece
-from xfemnav.imaging.segment import segment
-from xfemnav.imaging.slices import take_slice
-from xfemnav.imaging.stripped import judge
+from xfemnav.imaging.frames.slices import take_slice
+from xfemnav.imaging.organ.masks import dice, one_piece
+from xfemnav.imaging.organ.segment import segment
+from xfemnav.imaging.organ.stripped import judge
 
 PLACES = [("axial", -20), ("axial", 20), ("axial", 60), ("coronal", -30), ("sagittal", 40)]
 mni = cache(brain)

@@ -19,7 +19,7 @@ from tests.meshes import posed
 from xfemnav import Session, XfemnavError
 from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
-from xfemnav.imaging.warp import covered, pull_back, update
+from xfemnav.imaging.carrying.warp import covered, pull_back, update
 from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.live.incision import OutOfReach
 from xfemnav.mechanics.rules import Skull

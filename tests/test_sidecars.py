@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from xfemnav.imaging.gaps import NOWHERE
-from xfemnav.imaging.lip_labels import LEFT, RIGHT
-from xfemnav.imaging.sidecars import SIDECARS
+from xfemnav.imaging.carrying.gaps import NOWHERE
+from xfemnav.imaging.carrying.lip_labels import LEFT, RIGHT
+from xfemnav.imaging.carrying.sidecars import SIDECARS
 
 
 @pytest.mark.parametrize("role", sorted(SIDECARS.keys() - {"lips"}))

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from tests.images import ORDERS, affine_of, image_of, stored
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.grid import Grid
-from xfemnav.imaging.masks import clean
-from xfemnav.imaging.reading import read_image
-from xfemnav.imaging.slices import PLANES, plane_points, take_slice, to_nifti, values_on
+from xfemnav.imaging.frames.grid import Grid
+from xfemnav.imaging.frames.slices import PLANES, plane_points, take_slice, to_nifti, values_on
+from xfemnav.imaging.organ.masks import clean
+from xfemnav.imaging.reading.gate import read_image
 
 GRADIENT = np.array([3.0, -5.0, 0.7])
 TILT = Rotation.from_euler("xyz", (20, -15, 12), degrees=True).as_matrix()

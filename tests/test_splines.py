@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from xfemnav.imaging.splines import LIMIT_VERTICES, drawn
+from xfemnav.imaging.points.splines import LIMIT_VERTICES, drawn
 
 OPEN = [[0, 0, 0], [10, 20, 0], [40, 20, 5], [50, 0, 10]]
 CLOSED = [[0, 0, 0], [30, 0, 0], [30, 20, 6], [0, 20, 0]]

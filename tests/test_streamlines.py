@@ -10,8 +10,8 @@ from data_synthetic.phantom import MOUTH, OPEN, TIP, TRAVEL, Phantom, perfect_so
 from tests.images import affine_of, image_of
 from xfemnav.geometry.locate import LIP
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.slices import take_slice
-from xfemnav.imaging.streamlines import move_streamlines
+from xfemnav.imaging.carrying.streamlines import move_streamlines
+from xfemnav.imaging.frames.slices import take_slice
 
 PHANTOM = Phantom()
 REST, MOVED = perfect_solution(PHANTOM, rays=180, rings=40)

@@ -15,8 +15,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.fuzz.surface_seeds import FACES, POINTS, SEEDS, STRIPS, STRIPS_XML, gii, ply, vtk, vtp
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.endings import SURFACES, ending_of
-from xfemnav.imaging.surface_files import decoded_surface, read_surface
+from xfemnav.imaging.points.endings import SURFACES, ending_of
+from xfemnav.imaging.points.surface_files import decoded_surface, read_surface
 
 LPS = np.array([-1.0, -1.0, 1.0])
 SHIFT = np.array([1.0, 2, 3])

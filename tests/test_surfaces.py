@@ -9,10 +9,10 @@ from data_synthetic.phantom import MOUTH, TIP, TRAVEL, Phantom, perfect_solution
 from tests.images import affine_of, image_of
 from xfemnav.errors import XfemnavWarning
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.landmarks import moved_points
-from xfemnav.imaging.slices import take_slice
-from xfemnav.imaging.surface_files import Surface
-from xfemnav.imaging.surfaces import move_surface
+from xfemnav.imaging.carrying.landmarks import moved_points
+from xfemnav.imaging.carrying.surfaces import move_surface
+from xfemnav.imaging.frames.slices import take_slice
+from xfemnav.imaging.points.surface_files import Surface
 
 REST, MOVED = perfect_solution(Phantom(), rays=180, rings=40)
 CUT = np.array([MOUTH, TIP])

@@ -8,10 +8,10 @@ import pytest
 
 from tests.images import brain, head_of, image_of, phantom_head
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.discs import dilate, erode
-from xfemnav.imaging.masks import dice
-from xfemnav.imaging.segment import segment
-from xfemnav.imaging.slices import take_slice, to_nifti
+from xfemnav.imaging.frames.slices import take_slice, to_nifti
+from xfemnav.imaging.organ.discs import dilate, erode
+from xfemnav.imaging.organ.masks import dice
+from xfemnav.imaging.organ.segment import segment
 
 mni = cache(brain)
 

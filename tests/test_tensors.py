@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from xfemnav.imaging.conventions import ORDERS
-from xfemnav.imaging.tensors import components, dyads, in_space, matrices, principal, reoriented, rotations
+from xfemnav.imaging.carrying.tensors import components, dyads, in_space, matrices, principal, reoriented, rotations
+from xfemnav.imaging.reading.conventions import ORDERS
 
 ROUNDING = 1e-12  # products and eigenvectors of 3 x 3 matrices of size 1: some tens of roundings
 

@@ -10,8 +10,8 @@ from nibabel.streamlines import TckFile, Tractogram, TrkFile
 from numpy.testing import assert_allclose, assert_array_equal
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.endings import TRACTS, ending_of
-from xfemnav.imaging.tract_files import decoded_streamlines, file_like, read_streamlines, tract_bytes
+from xfemnav.imaging.points.endings import TRACTS, ending_of
+from xfemnav.imaging.points.tract_files import decoded_streamlines, file_like, read_streamlines, tract_bytes
 
 LINES = [np.random.default_rng(n).normal(scale=40, size=(n, 3)).astype(np.float32) for n in (5, 1, 9)]
 # 2 mm voxels stored to the left, with an oblique frame

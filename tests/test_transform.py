@@ -14,11 +14,11 @@ from scipy.ndimage import distance_transform_edt
 from data_synthetic.phantom import TIP
 from tests.motions import GRID, LAS, MIXED, MOVED, REST, SCENES, THICKNESS, finer, landing, slice_in
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.gaps import NOWHERE, bridged, extended
-from xfemnav.imaging.slices import to_nifti
-from xfemnav.imaging.transform import MARGIN, backward, forward, itk_transform, roomy, write_transform
-from xfemnav.imaging.vectors import LPS, write_nrrd
-from xfemnav.imaging.warp import covered, pull_back
+from xfemnav.imaging.carrying.gaps import NOWHERE, bridged, extended
+from xfemnav.imaging.carrying.transform import MARGIN, backward, forward, itk_transform, roomy, write_transform
+from xfemnav.imaging.carrying.vectors import LPS, write_nrrd
+from xfemnav.imaging.carrying.warp import covered, pull_back
+from xfemnav.imaging.frames.slices import to_nifti
 
 # Headers of NIfTI hold float32, 1e-5 mm at 100 mm; the promise is a hundred times wider.
 EXACT = 1e-3

@@ -14,9 +14,9 @@ from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 import xfemnav as package
 from tests.headers import TURNED, itk_affine, two_frames
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.imaging.frames import doubts, facts
-from xfemnav.imaging.reading import read_components, read_image
-from xfemnav.imaging.slices import take_slice, to_nifti, values_on
+from xfemnav.imaging.frames.slices import take_slice, to_nifti, values_on
+from xfemnav.imaging.reading.gate import read_components, read_image
+from xfemnav.imaging.reading.nifti_frames import doubts, facts
 
 SFORM, QFORM = RAS, TURNED @ RAS
 VOLUME = np.arange(4 * 5 * 3, dtype=np.int16).reshape(4, 5, 3)

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from tests.motions import GRID, MIXED, MOVED, REST, SCENES, THICKNESS, landing, slice_in
 from tests.test_transform import EXACT, FIELDS, MOTION, carried
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.transform import forward
-from xfemnav.imaging.vectors import field_nifti, vector_nifti, write_nrrd
+from xfemnav.imaging.carrying.transform import forward
+from xfemnav.imaging.carrying.vectors import field_nifti, vector_nifti, write_nrrd
 
 
 def itk_field(path) -> sitk.DisplacementFieldTransform:

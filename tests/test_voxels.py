@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from xfemnav.imaging.voxels import sample_volume
+from xfemnav.imaging.carrying.voxels import sample_volume
 
 SHAPE = (21, 18, 15)
 RNG = np.random.default_rng(0)

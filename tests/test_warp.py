@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay
 from benchmarks.probes import sample
 from data_synthetic.domains import area, disc, gyrated
 from xfemnav.geometry.mesh import orient
-from xfemnav.imaging.warp import covered, enclosed, pull_back, update
+from xfemnav.imaging.carrying.warp import covered, enclosed, pull_back, update
 
 # Pixel centres over [-30, 30] x [-40, 40] mm.
 ORIGIN, SPACING, SHAPE = np.array([-30.0, -40.0]), np.array([1.0, 0.8]), (61, 101)

@@ -17,7 +17,7 @@ from data_synthetic import domains
 from xfemnav.geometry.plane.cut import Cut, place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.imaging.warp import pull_back
+from xfemnav.imaging.carrying.warp import pull_back
 from xfemnav.mechanics.conditions.contact import lip_contacts, lip_pressure
 from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.problem import pose

@@ -26,10 +26,10 @@ from tests.fuzz.surface_seeds import SEEDS as SURFACES
 from tests.images import affine_of, image_of
 from tests.test_dicom import write_series
 from tests.test_dicom_kinds import compressed
-from xfemnav.imaging.point_files import read_points
-from xfemnav.imaging.reading import read_components, read_image
-from xfemnav.imaging.surface_files import read_surface
-from xfemnav.imaging.tract_files import read_streamlines
+from xfemnav.imaging.points.point_files import read_points
+from xfemnav.imaging.points.surface_files import read_surface
+from xfemnav.imaging.points.tract_files import read_streamlines
+from xfemnav.imaging.reading.gate import read_components, read_image
 from xfemnav.pipeline import kernels
 from xfemnav.pipeline.apply import apply
 from xfemnav.pipeline.cache import Cache

@@ -14,12 +14,12 @@ import numpy as np
 from tests.fuzz import surface_seeds
 from tests.fuzz.seeds import CUT, KINDS, SEEDS, finished
 from xfemnav.errors import FAULTS, XfemnavError, XfemnavWarning
-from xfemnav.imaging.point_files import read_control_points, read_points, write_points
-from xfemnav.imaging.points import FARTHEST
-from xfemnav.imaging.reading import content_digest, read_image
-from xfemnav.imaging.slices import PLANES, take_slice, to_nifti
-from xfemnav.imaging.surface_files import decoded_surface
-from xfemnav.imaging.tract_files import decoded_streamlines, tract_bytes
+from xfemnav.imaging.frames.slices import PLANES, take_slice, to_nifti
+from xfemnav.imaging.points.point_files import read_control_points, read_points, write_points
+from xfemnav.imaging.points.point_set import FARTHEST
+from xfemnav.imaging.points.surface_files import decoded_surface
+from xfemnav.imaging.points.tract_files import decoded_streamlines, tract_bytes
+from xfemnav.imaging.reading.gate import content_digest, read_image
 from xfemnav.pipeline.apply import apply
 from xfemnav.pipeline.config import configure, read_displacements, scenario_problems
 from xfemnav.pipeline.files import read_mesh, read_soup

@@ -112,8 +112,8 @@ def _kind_of(path: Path):
 
 
 def _endings() -> dict:
-    from xfemnav.imaging.endings import SURFACES, TRACTS
-    from xfemnav.imaging.point_files import SUFFIXES
+    from xfemnav.imaging.points.endings import SURFACES, TRACTS
+    from xfemnav.imaging.points.point_files import SUFFIXES
 
     return {_points: SUFFIXES, _tracts: TRACTS, _surface: SURFACES}
 
@@ -139,8 +139,8 @@ def _image(result: Result, path: Path, target: Path, choices: Choices) -> str:
 
 
 def _points(result: Result, path: Path, target: Path, choices: Choices) -> str:
-    from xfemnav.imaging.landmarks import warn_of_points
-    from xfemnav.imaging.point_files import read_points, write_points
+    from xfemnav.imaging.carrying.landmarks import warn_of_points
+    from xfemnav.imaging.points.point_files import read_points, write_points
 
     found, organ = read_points(path), result.organ
     outline = result.outline if choices.inverse else organ.outline
@@ -151,7 +151,7 @@ def _points(result: Result, path: Path, target: Path, choices: Choices) -> str:
 
 
 def _tracts(result: Result, path: Path, target: Path, choices: Choices) -> str:
-    from xfemnav.imaging.tract_files import tract_bytes
+    from xfemnav.imaging.points.tract_files import tract_bytes
 
     moved = result.streamlines(path)
     target.write_bytes(tract_bytes(moved.file, ending("streamlines", path)))

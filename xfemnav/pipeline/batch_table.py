@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.content import file_bytes
+from xfemnav.imaging.reading.content import file_bytes
 from xfemnav.pipeline.disk import write_atomic, writing
 from xfemnav.pipeline.report import CHECKS
 

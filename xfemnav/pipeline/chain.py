@@ -205,7 +205,7 @@ class Chain:
     def _image_facts(self, role: str, path: Path) -> tuple[dict, tuple[Warned, ...]]:
         """Digest of the decoded voxels and affine, remembered by the file's name and the digest of its bytes."""
         def build(folder: Path) -> None:
-            from xfemnav.imaging import frames
+            from xfemnav.imaging.reading import nifti_frames as frames
 
             with recorded() as caught:
                 image = self.inputs.images[role] = self.inputs.decoded(role)

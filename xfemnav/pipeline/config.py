@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.content import decoded, file_bytes
+from xfemnav.imaging.reading.content import decoded, file_bytes
 from xfemnav.mechanics.rules import BLADE, Arc, Basis, Gravity, LipRules, Loads, Measured, Pressure, Rules, Skull, Solid
 from xfemnav.pipeline.crosscheck import OUTLINE, actors
 from xfemnav.pipeline.flags import add_flags, confined, numbers, path_places, printed
@@ -205,7 +205,7 @@ class Drawn:
 
 def _path(points, markup: str | None, space: str, file: Path | None, smooth: bool):
     if file is not None:
-        from xfemnav.imaging.point_files import read_points
+        from xfemnav.imaging.points.point_files import read_points
 
         found = read_points(file, name=markup)
         if found.form is not None and not found.form.stated:
@@ -213,7 +213,7 @@ def _path(points, markup: str | None, space: str, file: Path | None, smooth: boo
                                        "r,a,s or l,p,s, or put its coordsystem.json beside it.")
         points, space = tuple(map(tuple, found.points.tolist())), "ras"
     if smooth:
-        from xfemnav.imaging.splines import drawn
+        from xfemnav.imaging.points.splines import drawn
 
         points = tuple(map(tuple, drawn(points, closed=False)[0].tolist()))
     return points, space

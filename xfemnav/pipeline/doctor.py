@@ -56,7 +56,7 @@ def examine(cache: Path) -> Iterator[Finding]:
 def _formats() -> Iterator[Finding]:
     """The known scene through readers, writers and frames."""
     try:
-        from xfemnav.imaging.roundtrip import CHECKS
+        from xfemnav.imaging.selftest.roundtrip import CHECKS
     except Exception as error:  # a library that cannot be loaded fails in its own way
         yield Finding("libraries load", _told(error), "Install xfemnav anew in a fresh environment", EXIT_BUG)
         return
@@ -99,8 +99,8 @@ def _check_vtu(folder: Path) -> None:
     import meshio
     import numpy as np
 
-    from xfemnav.imaging.known import OBLIQUE, agree
-    from xfemnav.imaging.scenes import scene_motion, scene_slice
+    from xfemnav.imaging.selftest.known import OBLIQUE, agree
+    from xfemnav.imaging.selftest.scenes import scene_motion, scene_slice
     from xfemnav.pipeline.files import read_soup, write_soup
 
     frame = scene_slice(OBLIQUE)

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from xfemnav.imaging.background import blank_of
+from xfemnav.imaging.carrying.background import blank_of
 from xfemnav.pipeline.disk import write_atomic
 from xfemnav.pipeline.display import NEUROLOGICAL, convention, edges, lip_ends, lips_told, mirrored
 

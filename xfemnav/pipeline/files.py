@@ -31,7 +31,7 @@ def write_vtu(path: Path, points, cells, point_data: dict | None = None, cell_da
     """Write triangles: `points` (n, 3) world RAS mm, `cells` (m, 3), data by name with one row a point or cell."""
     import meshio
 
-    from xfemnav.imaging.content import silenced
+    from xfemnav.imaging.reading.content import silenced
 
     cell_data = {name: [values] for name, values in (cell_data or {}).items()}
     with silenced():
@@ -43,9 +43,9 @@ def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = ()):
 
     Raises E100, E102, E106, and the error `code` when it is none.
     """
-    from xfemnav.imaging.content import file_bytes
-    from xfemnav.imaging.points import FARTHEST
-    from xfemnav.imaging.vtk_grid import grid
+    from xfemnav.imaging.points.point_set import FARTHEST
+    from xfemnav.imaging.points.vtk_grid import grid
+    from xfemnav.imaging.reading.content import file_bytes
 
     content = file_bytes(path, LARGEST)
     if b"<VTKFile" not in content[:2000]:

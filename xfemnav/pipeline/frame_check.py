@@ -10,7 +10,7 @@ def frame_doubts(inputs, found: dict[str, dict]) -> list[str]:
     """The texts of W114 for the input files of which this is `found`, by role: the `facts` of their frames."""
     if not any("frames" in facts for facts in found.values()):
         return []
-    from xfemnav.imaging.frames import doubts
+    from xfemnav.imaging.reading.nifti_frames import doubts
 
     slice, segmentation = inputs.value("segment")
     organ = slice.to_world(slice.pixel_centres()[segmentation.mask])

@@ -106,8 +106,8 @@ class Inputs:
 
     def decoded(self, role: str):
         """Read and decode an input file; companions with all their values a voxel."""
-        from xfemnav.imaging.kinds import read_companion
-        from xfemnav.imaging.reading import read_image
+        from xfemnav.imaging.carrying.kinds import read_companion
+        from xfemnav.imaging.reading.gate import read_image
 
         read, path, limit = self.reading(role), self.files[role], self.config.max_memory_gb
         try:
@@ -125,7 +125,7 @@ class Inputs:
 
 def bounded_bytes(path: Path, limit: int) -> bytes:
     """Bytes of a regular file of at most `limit` bytes. Raises E100, E101, E102, E106."""
-    from xfemnav.imaging.content import file_bytes
+    from xfemnav.imaging.reading.content import file_bytes
 
     return file_bytes(path, limit)
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from xfemnav.errors import FAULTS, XfemnavError
-from xfemnav.imaging.content import file_bytes
+from xfemnav.imaging.reading.content import file_bytes
 from xfemnav.pipeline.names import LIMIT_BYTES, OWN_NAME, RECORD, SCHEMA
 
 

@@ -18,8 +18,8 @@ def preoperative_slice(record: dict, folder: Path, given: Path | None = None):
     Raises E100 where it is not found, E701 where the record does not say how it was read, and E702 where it holds
     something else now; what reading raises.
     """
-    from xfemnav.imaging.reading import read_image
-    from xfemnav.imaging.slices import take_slice
+    from xfemnav.imaging.frames.slices import take_slice
+    from xfemnav.imaging.reading.gate import read_image
 
     asked, known = _settings(record, folder), inputs_of(record).get("image")
     if known is None:

@@ -22,12 +22,12 @@ from xfemnav.pipeline.signatures import own_names, takes_flags
 if TYPE_CHECKING:
     from xfemnav.geometry.mesh import Mesh
     from xfemnav.geometry.motion import Motion
-    from xfemnav.imaging.landmarks import MovedPoints
-    from xfemnav.imaging.lean import nibabel
-    from xfemnav.imaging.slices import Slice
-    from xfemnav.imaging.streamlines import MovedStreamlines
-    from xfemnav.imaging.surfaces import MovedSurface
-    from xfemnav.imaging.warp import PullBack, Update
+    from xfemnav.imaging.carrying.landmarks import MovedPoints
+    from xfemnav.imaging.carrying.streamlines import MovedStreamlines
+    from xfemnav.imaging.carrying.surfaces import MovedSurface
+    from xfemnav.imaging.carrying.warp import PullBack, Update
+    from xfemnav.imaging.frames.slices import Slice
+    from xfemnav.imaging.reading.lean import nibabel
 
 SIDES = {"left": 1, "right": -1}
 Side = Literal["left", "right"] | ArrayLike | None
@@ -132,8 +132,8 @@ class Result:
     @cached_property
     def frame(self) -> "Slice":
         """The plane of the slice: an imaging Slice whose values are the organ's mask."""
-        from xfemnav.imaging.reading import read_image
-        from xfemnav.imaging.slices import take_slice
+        from xfemnav.imaging.frames.slices import take_slice
+        from xfemnav.imaging.reading.gate import read_image
 
         mask = read_image(self._path("mask"), nifti_frame=self.nifti_frame)
         return take_slice(mask, plane=self.record["slice"]["plane"])
@@ -150,8 +150,8 @@ class Result:
     @cached_property
     def updated(self) -> "Slice":
         """The slice after surgery as the run has written it, an imaging Slice. Raises E701 where it has not."""
-        from xfemnav.imaging.reading import read_image
-        from xfemnav.imaging.slices import take_slice
+        from xfemnav.imaging.frames.slices import take_slice
+        from xfemnav.imaging.reading.gate import read_image
 
         image = read_image(self._path(self._solution.replace("solution", "updated")), nifti_frame=self.nifti_frame)
         return take_slice(image, plane=self.record["slice"]["plane"])
@@ -200,11 +200,11 @@ class Result:
         return self.to_current(points, side) - np.asarray(points, float)
 
     def landmarks(self, points: ArrayLike, side: Side = None, *, inverse: bool = False) -> "MovedPoints":
-        """Landmarks through the motion, each with a flag of what it is in: MovedPoints of `xfemnav.imaging.landmarks`.
+        """Landmarks through the motion, each with a flag of what it is in: MovedPoints of `xfemnav.imaging.carrying.landmarks`.
 
         From the preoperative image to now, on the lip of `side` where they are on a cut; with `inverse` from now back.
         """
-        from xfemnav.imaging.landmarks import moved_points, resting_points
+        from xfemnav.imaging.carrying.landmarks import moved_points, resting_points
 
         if inverse:
             return resting_points(points, self.frame, self.motion, self.outline)
@@ -212,20 +212,20 @@ class Result:
 
     def streamlines(self, path: AnyPath) -> "MovedStreamlines":
         """The tractogram in a .trk, .trk.gz or .tck file after the motion: MovedStreamlines of
-        `xfemnav.imaging.streamlines`."""
-        from xfemnav.imaging.streamlines import move_streamlines
-        from xfemnav.imaging.tract_files import read_streamlines
+        `xfemnav.imaging.carrying.streamlines`."""
+        from xfemnav.imaging.carrying.streamlines import move_streamlines
+        from xfemnav.imaging.points.tract_files import read_streamlines
 
         return move_streamlines(read_streamlines(path), self.frame, self.motion, self.organ.corners)
 
     def surface(self, path: AnyPath, *, space: str | None = None) -> "MovedSurface":
         """The surface in a .stl, .vtk, .vtp, .gii, .obj or .ply file after the motion: MovedSurface of
-        `xfemnav.imaging.surfaces`.
+        `xfemnav.imaging.carrying.surfaces`.
 
         `space` (ras, lps) is that of a file that does not say its own; by default the run's.
         """
-        from xfemnav.imaging.surface_files import read_surface
-        from xfemnav.imaging.surfaces import move_surface
+        from xfemnav.imaging.carrying.surfaces import move_surface
+        from xfemnav.imaging.points.surface_files import read_surface
 
         read = read_surface(path, space=space or self.record["parameters"]["space"])
         return move_surface(read, self.frame, self.motion, self.organ.corners)
@@ -252,8 +252,8 @@ class Result:
         which frame of a header with two is taken; left out, it is the run's choice. An array (n1, n2) along e1 and e2
         of the run's slice gives an array.
         """
-        from xfemnav.imaging.companions import carry
-        from xfemnav.imaging.kinds import kind_of, read_companion
+        from xfemnav.imaging.carrying.companions import carry
+        from xfemnav.imaging.carrying.kinds import kind_of, read_companion
 
         if not isinstance(image, str | Path):
             return self._updated(image, interp, outside, fill).updated
@@ -265,7 +265,7 @@ class Result:
 
     def _warn_of_frames(self, companion, wanted: str) -> None:
         """W114 of a file that comes later."""
-        from xfemnav.imaging.frames import doubts, facts
+        from xfemnav.imaging.reading.nifti_frames import doubts, facts
 
         frame = self.frame
         organ = frame.to_world(frame.pixel_centres()[frame.values != 0])
@@ -283,7 +283,7 @@ class Result:
         image, so that resampling (ANTs, SimpleITK) loses no tissue and gives background. Raises E780 for another
         suffix, E501 and E502.
         """
-        from xfemnav.imaging.transform import backward, forward, roomy
+        from xfemnav.imaging.carrying.transform import backward, forward, roomy
 
         suffix = next((end for end in TRANSFORMS if str(path).lower().endswith(end)), None)
         if suffix is None:
@@ -301,8 +301,8 @@ class Result:
         write_atomic(Path(path), TRANSFORMS[suffix](frame, field, meaning))
 
     def _updated(self, values, interp: str = "nearest", outside: str = "keep", fill: float | None = None):
-        from xfemnav.imaging.background import asked_blank
-        from xfemnav.imaging.warp import covered, enclosed, update
+        from xfemnav.imaging.carrying.background import asked_blank
+        from xfemnav.imaging.carrying.warp import covered, enclosed, update
 
         values, grid = np.asarray(values), (self.frame.origin, self.frame.spacing, self.frame.values.shape)
         organ = covered(self.organ.corners, *grid)
@@ -312,7 +312,7 @@ class Result:
 
     @cached_property
     def _pull_back(self) -> "PullBack":
-        from xfemnav.imaging.warp import pull_back
+        from xfemnav.imaging.carrying.warp import pull_back
 
         frame = self.frame
         return pull_back(self.motion.rest, self.motion.moved, frame.origin, frame.spacing, frame.values.shape)
@@ -344,19 +344,19 @@ def _step_of(record: dict, step: str | None) -> tuple[str, list]:
 
 
 def _h5(frame, field, meaning) -> bytes:
-    from xfemnav.imaging.transform import itk_bytes
+    from xfemnav.imaging.carrying.transform import itk_bytes
 
     return itk_bytes(frame, field)
 
 
 def _nrrd(frame, field, meaning) -> bytes:
-    from xfemnav.imaging.vectors import nrrd_bytes
+    from xfemnav.imaging.carrying.vectors import nrrd_bytes
 
     return nrrd_bytes(frame, field, meaning)
 
 
 def _nifti(frame, field, meaning) -> bytes:
-    from xfemnav.imaging.vectors import field_nifti
+    from xfemnav.imaging.carrying.vectors import field_nifti
     from xfemnav.pipeline.files import nifti_bytes
 
     return nifti_bytes(field_nifti(frame, field))

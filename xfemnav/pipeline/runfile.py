@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.content import file_bytes
-from xfemnav.imaging.sidecars import SIDECARS
+from xfemnav.imaging.carrying.sidecars import SIDECARS
+from xfemnav.imaging.reading.content import file_bytes
 from xfemnav.pipeline.disk import remove_temporaries, write_atomic, write_together, writing
 from xfemnav.pipeline.keys import file_digest
 from xfemnav.pipeline.locks import locked

@@ -13,7 +13,7 @@ import tomllib
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.content import decoded
+from xfemnav.imaging.reading.content import decoded
 from xfemnav.naming import flag
 from xfemnav.pipeline.flags import BACKSLASH, MASKS, path_places, printed
 from xfemnav.pipeline.names import PAGES

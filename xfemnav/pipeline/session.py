@@ -23,8 +23,8 @@ from xfemnav.pipeline.signatures import own_names, takes_flags
 if TYPE_CHECKING:
     from xfemnav.geometry.mesh import Mesh
     from xfemnav.geometry.motion import Motion
-    from xfemnav.imaging.slices import Slice
-    from xfemnav.imaging.warp import PullBack
+    from xfemnav.imaging.carrying.warp import PullBack
+    from xfemnav.imaging.frames.slices import Slice
     from xfemnav.mechanics.live.condensation import Condensation
     from xfemnav.mechanics.live.live_cut import LiveCut
     from xfemnav.mechanics.solving.solution import RetractorForce
@@ -165,8 +165,8 @@ class Session:
     def image(self, values: ArrayLike | None = None, *, interp: str | None = None, outside: str | None = None,
               fill: float | None = None) -> np.ndarray:
         """The slice as it looks now, (n1, n2) along e1 and e2; or other `values` on its grid, a companion."""
-        from xfemnav.imaging.background import asked_blank
-        from xfemnav.imaging.warp import pull_back, update
+        from xfemnav.imaging.carrying.background import asked_blank
+        from xfemnav.imaging.carrying.warp import pull_back, update
 
         if self.frame is None:
             raise XfemnavError("E780", "image: this session was made of a mesh; make it of an image to warp one.")
@@ -195,7 +195,7 @@ class Session:
     @cached_property
     def _at_rest(self):
         """Pixels (n1, n2) of the organ at rest."""
-        from xfemnav.imaging.warp import covered
+        from xfemnav.imaging.carrying.warp import covered
 
         return covered(self.mesh.corners, self.frame.origin, self.frame.spacing, self.frame.values.shape)
 
@@ -257,7 +257,7 @@ class Session:
         rows = self._rows(points)
         if self.frame is None:
             return rows
-        from xfemnav.imaging.slices import plane_points
+        from xfemnav.imaging.frames.slices import plane_points
 
         return plane_points(self.frame, rows)
 
@@ -310,8 +310,8 @@ def _prepared(config, organ):
     drawn, slice, border = params.cuts[0], None, None
     plan = np.array(drawn.points)
     if organ is None:
-        from xfemnav.imaging.frames import facts
-        from xfemnav.imaging.slices import plane_points
+        from xfemnav.imaging.frames.slices import plane_points
+        from xfemnav.imaging.reading.nifti_frames import facts
         from xfemnav.pipeline.frame_check import frame_doubts
 
         inputs.values["segment"] = slice, segmentation = stage_segment.compute(config.segment, inputs)

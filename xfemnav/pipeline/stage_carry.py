@@ -50,8 +50,8 @@ def publish(value, params, inputs, folder):
 
 
 def _carried(item, params, inputs):
-    from xfemnav.imaging.companions import carry
-    from xfemnav.imaging.kinds import kind_of
+    from xfemnav.imaging.carrying.companions import carry
+    from xfemnav.imaging.carrying.kinds import kind_of
 
     (slice, _), companion = inputs.value("segment"), inputs.image(item.role)
     return carry(companion, slice, inputs.value("warp"), kind=item.kind or kind_of(companion), interp=params.interp,
@@ -59,8 +59,8 @@ def _carried(item, params, inputs):
 
 
 def _write_points(item, inputs, folder, name, moved):
-    from xfemnav.imaging.markups import write_markups
-    from xfemnav.imaging.point_files import write_points
+    from xfemnav.imaging.points.markups import write_markups
+    from xfemnav.imaging.points.point_files import write_points
 
     ending = point_ending(inputs.files[item.role])
     write_points(folder / f"{name}{ending}", moved.points)
@@ -70,7 +70,7 @@ def _write_points(item, inputs, folder, name, moved):
 
 def ending(kind, path):
     """The ending of the file that one of a kind is written to, "" where that does not depend on its own name."""
-    from xfemnav.imaging.endings import SURFACES, TRACTS, ending_of
+    from xfemnav.imaging.points.endings import SURFACES, TRACTS, ending_of
 
     if kind == "points":
         return point_ending(path)
@@ -93,8 +93,8 @@ class Landmarks(NamedTuple):
 
 
 def _landmarks(item, params, inputs):
-    from xfemnav.imaging.landmarks import moved_points, warn_of_points
-    from xfemnav.imaging.point_files import read_points
+    from xfemnav.imaging.carrying.landmarks import moved_points, warn_of_points
+    from xfemnav.imaging.points.point_files import read_points
 
     (slice, _), mesh, path = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role]
     found = read_points(path)
@@ -115,7 +115,7 @@ def placed(found, moved, one_lip=False):
 
     import numpy as np
 
-    from xfemnav.imaging.landmarks import ON_A_CUT, OUTSIDE
+    from xfemnav.imaging.carrying.landmarks import ON_A_CUT, OUTSIDE
 
     rows, labels, kept = [], [], []
     for k, (flag, label) in enumerate(zip(moved.flag, found.labels)):
@@ -133,8 +133,8 @@ def placed(found, moved, one_lip=False):
 
 
 def _streamlines(item, params, inputs):
-    from xfemnav.imaging.streamlines import move_streamlines
-    from xfemnav.imaging.tract_files import decoded_streamlines
+    from xfemnav.imaging.carrying.streamlines import move_streamlines
+    from xfemnav.imaging.points.tract_files import decoded_streamlines
 
     slice, _ = inputs.value("segment")
     read = decoded_streamlines(inputs.content(item.role), inputs.files[item.role].name, inputs.config.limit)
@@ -142,15 +142,15 @@ def _streamlines(item, params, inputs):
 
 
 def _write_streamlines(item, inputs, folder, name, moved):
-    from xfemnav.imaging.tract_files import tract_bytes
+    from xfemnav.imaging.points.tract_files import tract_bytes
 
     own = ending(item.kind, inputs.files[item.role])
     (folder / f"{name}{own}").write_bytes(tract_bytes(moved.file, own))
 
 
 def _surface(item, params, inputs):
-    from xfemnav.imaging.surface_files import decoded_surface
-    from xfemnav.imaging.surfaces import move_surface
+    from xfemnav.imaging.carrying.surfaces import move_surface
+    from xfemnav.imaging.points.surface_files import decoded_surface
 
     (slice, _), mesh, name = inputs.value("segment"), inputs.value("mesh"), inputs.files[item.role].name
     read = decoded_surface(inputs.content(item.role), name, params.space, inputs.config.limit)

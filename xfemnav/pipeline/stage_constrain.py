@@ -49,7 +49,7 @@ def _motion(item, inputs):
 
 
 def _plane(slice, points, space):
-    from xfemnav.imaging.slices import plane_points
+    from xfemnav.imaging.frames.slices import plane_points
 
     return plane_points(slice, points, space)
 
@@ -89,7 +89,7 @@ def _taken_out(params, mesh, cuts, inputs):
 
     from xfemnav.geometry.plane.resection import refuse_all
     from xfemnav.geometry.plane.shreds import Elements, without_shreds
-    from xfemnav.imaging.regions import warn_of_left
+    from xfemnav.imaging.organ.regions import warn_of_left
 
     if not params.resections:
         return {}
@@ -114,7 +114,7 @@ def _placed_regions(params, found, outline, inputs):
     from xfemnav.errors import XfemnavError
     from xfemnav.geometry.plane.at_rest import ring_at_rest
     from xfemnav.geometry.plane.resection import place_resection, place_united
-    from xfemnav.imaging.regions import outlined
+    from xfemnav.imaging.organ.regions import outlined
 
     (slice, _), items, least = inputs.value("segment"), params.resections, _least_mm2(params)
 
@@ -149,7 +149,7 @@ def _is_redrawn(item):
 
 
 def _marked(item, slice, inputs):
-    from xfemnav.imaging.regions import marked
+    from xfemnav.imaging.organ.regions import marked
 
     return marked(inputs.image("labels" if item.label is not None else f"resection:{item.mask}"), slice, item.label)
 
@@ -164,7 +164,7 @@ def tissue(params, mesh, inputs):
     import numpy as np
 
     from xfemnav.errors import warn
-    from xfemnav.imaging.labels import label_shares
+    from xfemnav.imaging.organ.labels import label_shares
     from xfemnav.mechanics.tissue.elasticity import Material, mixed
 
     rest = Material.of(params.solid)

@@ -12,8 +12,8 @@ def compute(params, inputs):
         return _about_the_organ(read_mesh(inputs.files["mesh_file"], slice), inputs)
     from xfemnav.geometry.plane.distmesh import distmesh
     from xfemnav.geometry.plane.sizing import SizeField
-    from xfemnav.imaging.outline import outline_of
-    from xfemnav.imaging.slices import plane_points
+    from xfemnav.imaging.frames.slices import plane_points
+    from xfemnav.imaging.organ.outline import outline_of
 
     size, focus = params.element_size_mm, ()
     outline = outline_of(segmentation.mask, slice.origin, slice.spacing)
@@ -65,7 +65,7 @@ def _hausdorff(mesh, inputs) -> float:
     import numpy as np
     import shapely
 
-    from xfemnav.imaging.outline import outline_of
+    from xfemnav.imaging.organ.outline import outline_of
 
     slice, segmentation = inputs.value("segment")
     one = shapely.LinearRing(outline_of(segmentation.mask, slice.origin, slice.spacing))

@@ -172,7 +172,7 @@ def _trusted(steps, moved, part, inputs) -> bool:
 
 def _is_trusted(k, inputs) -> bool:
     """Whether a step's solution is trusted, tissue that lies twice included."""
-    from xfemnav.imaging.warp import pull_back
+    from xfemnav.imaging.carrying.warp import pull_back
     from xfemnav.pipeline import stage_solve, stage_warp
     from xfemnav.pipeline.verdicts import is_trusted
 

@@ -3,9 +3,9 @@
 
 def compute(params, inputs):
     """The slice, and the organ's mask on it: (Slice, Segmentation)."""
-    from xfemnav.imaging.masks import mask_of
-    from xfemnav.imaging.segment import segment
-    from xfemnav.imaging.slices import take_slice, values_on
+    from xfemnav.imaging.frames.slices import take_slice, values_on
+    from xfemnav.imaging.organ.masks import mask_of
+    from xfemnav.imaging.organ.segment import segment
 
     image = inputs.image("image")
     slice = take_slice(image, plane=params.plane, index=params.index, position_mm=params.position_mm)
@@ -29,7 +29,7 @@ def facts(value, params, inputs):
 
 def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`."""
-    from xfemnav.imaging.slices import to_nifti
+    from xfemnav.imaging.frames.slices import to_nifti
     from xfemnav.pipeline.files import write_nifti
 
     slice, segmentation = value

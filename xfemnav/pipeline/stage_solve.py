@@ -85,7 +85,7 @@ def _held(problem, cut, span):
 
 def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`."""
-    from xfemnav.imaging.markups import write_markups
+    from xfemnav.imaging.points.markups import write_markups
     from xfemnav.pipeline.files import write_soup
 
     slice, _ = inputs.value("segment")
@@ -96,7 +96,7 @@ def publish(value, params, inputs, folder):
 
 def _drawn(slice, problem, solution):
     """Each cut at rest, and its two lips now, as curves of point sets in the world."""
-    from xfemnav.imaging.points import PointSet
+    from xfemnav.imaging.points.point_set import PointSet
 
     for k, (cut, path) in enumerate(zip(problem.cuts, solution.motion.cuts)):
         lips = ((f"{cut.name}, {name} lip now", solution.motion.lip_now(k, side)) for name, side in SIDES)

@@ -13,8 +13,8 @@ def compute(params, inputs):
     from dataclasses import replace
 
     from xfemnav.errors import warn
-    from xfemnav.imaging.background import blank_of, warn_of_blank
-    from xfemnav.imaging.warp import covered, enclosed, pull_back, update
+    from xfemnav.imaging.carrying.background import blank_of, warn_of_blank
+    from xfemnav.imaging.carrying.warp import covered, enclosed, pull_back, update
 
     (slice, _), problem, solution = (inputs.value(name) for name in ("segment", "constrain", "solve"))
     grid = slice.origin, slice.spacing, slice.values.shape
@@ -38,7 +38,7 @@ def lying_twice(overlap, slice, problem, solution):
     import numpy as np
     import shapely
 
-    from xfemnav.imaging.masks import components
+    from xfemnav.imaging.organ.masks import components
 
     twice = np.array(overlap)
     if twice.any() and problem.cuts:
@@ -55,7 +55,7 @@ def lying_twice(overlap, slice, problem, solution):
 
 def _is_wide(centre, solution) -> bool:
     """Whether tissue lies twice not just at a point (2,) mm of the plane, but about it."""
-    from xfemnav.imaging.warp import pull_back
+    from xfemnav.imaging.carrying.warp import pull_back
 
     step = 2 * SLIVER_MM / (FINE - 1)
     found = pull_back(solution.rest, solution.moved, centre - SLIVER_MM, (step, step), (FINE, FINE))
@@ -73,9 +73,9 @@ def publish(value, params, inputs, folder):
     """Write the stage's public files into `folder`."""
     import numpy as np
 
-    from xfemnav.imaging.lip_labels import lip_labels
-    from xfemnav.imaging.slices import to_nifti
-    from xfemnav.imaging.vectors import vector_nifti
+    from xfemnav.imaging.carrying.lip_labels import lip_labels
+    from xfemnav.imaging.carrying.vectors import vector_nifti
+    from xfemnav.imaging.frames.slices import to_nifti
     from xfemnav.pipeline.files import write_nifti
 
     slice, _ = inputs.value("segment")
@@ -93,8 +93,8 @@ def _write_transforms(motion, inputs, folder, which):
     """The motion for other programs: the ITK transform of viewers, and with "all" every other form and direction."""
     import numpy as np
 
-    from xfemnav.imaging.transform import backward, forward, roomy, write_transform
-    from xfemnav.imaging.vectors import field_nifti, write_nrrd
+    from xfemnav.imaging.carrying.transform import backward, forward, roomy, write_transform
+    from xfemnav.imaging.carrying.vectors import field_nifti, write_nrrd
     from xfemnav.pipeline.files import write_nifti
 
     solution, mesh = inputs.value("solve"), inputs.value("mesh")

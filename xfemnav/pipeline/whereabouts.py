@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.content import file_bytes
+from xfemnav.imaging.reading.content import file_bytes
 from xfemnav.pipeline.flags import printed
 from xfemnav.pipeline.keys import digest, file_digest
 from xfemnav.pipeline.names import PAGES, RECORD
@@ -40,13 +40,13 @@ def bytes_digest(place: str, path: Path, max_memory_gb: float) -> str:
     table = place.startswith("points.") or place.endswith(".markups")
     named_alone = path.name.lower().endswith(ALONE) and not os.path.isdir(path)
     if not (table or named_alone or place in ("mesh.file", "boundary.displacement")):
-        from xfemnav.imaging.reading import content_digest
+        from xfemnav.imaging.reading.gate import content_digest
 
         return content_digest(path, max_memory_gb=max_memory_gb)
     if not os.path.isfile(path):
         file_bytes(path, 0)  # refuses it, with the reason
     if table:
-        from xfemnav.imaging.coordsystem import beside
+        from xfemnav.imaging.points.coordsystem import beside
 
         if words := beside(path):
             return digest([file_digest(path), file_digest(words)])

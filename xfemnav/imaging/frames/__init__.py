@@ -1,0 +1,1 @@
+"""Slices and frames: RAS and LPS, voxel order, affines."""

@@ -1,0 +1,1 @@
+"""Find the organ, what is taken out of it, and its outline."""

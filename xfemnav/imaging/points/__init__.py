@@ -1,0 +1,1 @@
+"""Files of points, tracts and surfaces, read and put back."""

@@ -1,0 +1,1 @@
+"""A scene known in closed form, through every format and frame."""
