@@ -58,8 +58,8 @@ lint: $(INSTALLED)  ## ruff
 	$(BIN)/ruff check .
 
 docs: demo worked-case  ## write the generated pages and pictures of docs/ again
-	$(BIN)/python -m xfemnav.pipeline.errordocs > docs/reference/errors.md
-	$(BIN)/python -m xfemnav.pipeline.scenariodocs > docs/reference/scenario.md
+	$(BIN)/python -m xfemnav.pipeline.telling.errordocs > docs/reference/errors.md
+	$(BIN)/python -m xfemnav.pipeline.telling.scenariodocs > docs/reference/scenario.md
 	$(BIN)/python docs/pictures.py
 
 bench: $(INSTALLED)  ## measurements beside other programs and known answers; one of them: make bench BENCH=warp

@@ -19,8 +19,8 @@ from pathlib import Path
 from time import monotonic
 from typing import NamedTuple
 
-from xfemnav.pipeline.kernels import NAME, made_of
-from xfemnav.pipeline.keys import source_digest
+from xfemnav.pipeline.keeping.kernels import NAME, made_of
+from xfemnav.pipeline.keeping.keys import source_digest
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, PAGE = Path("benchmarks/results/mutations.json"), Path("docs/measured/mutations.md")
@@ -65,14 +65,14 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     ("Nitsche's traction into the tissue", "mechanics/conditions/nitsche.py", "_tractions(space, q, -retraction.side * q.normals", "_tractions(space, q, retraction.side * q.normals", "nitsche lips solution"),
     ("lips kept together, not apart", "mechanics/conditions/contact.py", "np.where(at < m, jump, -jump)", "np.where(at < m, -jump, jump)", "contact"),
     ("a fluid that buoys up what lies above its level", "mechanics/conditions/loads.py", "(points @ down > gravity.fluid_level_mm", "(points @ down < gravity.fluid_level_mm", "loads"),
-    ("the two sides of a mouth exchanged in measured points", "mechanics/conditions/measured.py", "mouth - BESIDE_MM * sense * side[wrong]", "mouth + BESIDE_MM * sense * side[wrong]", "measured outline_conditions"),
+    ("the two sides of a mouth exchanged in measured points", "mechanics/conditions/measured.py", "mouth - BESIDE_MM * sense * side[wrong]", "mouth + BESIDE_MM * sense * side[wrong]", "measured skull"),
     ("pressure that pulls as tissue is squeezed", "mechanics/tissue/neo_hookean.py", "return mu - lam * log_det, -lam", "return mu + lam * log_det, lam", "neo_hookean"),
     ("what a cut costs, with its edges once", "mechanics/solving/solution.py", "2 * len(problem.mesh.edges)", "len(problem.mesh.edges)", "solution"),
-    ("rigid motions held by next to nothing", "mechanics/conditions/bodies.py", "FREE_MOTION = 1e-4", "FREE_MOTION = 1e-12", "pieces"),
+    ("rigid motions held by next to nothing", "mechanics/conditions/bodies.py", "FREE_MOTION = 1e-4", "FREE_MOTION = 1e-12", "bodies"),
     # The live session
     ("modes of blades of another length", "mechanics/live/live_cut.py", "key = sides, blade\n", "key = sides\n", "session condensation"),
-    ("the image of the blades before", "pipeline/session.py", "_Now(live, self._now.drawn, asked)", "replace(self._now, live=live, asked=asked)", "session"),
-    ("world points put into the slice's plane", "pipeline/session.py", "self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]", "self.frame.to_world(move(plane))", "session"),
+    ("the image of the blades before", "pipeline/running/session.py", "_Now(live, self._now.drawn, asked)", "replace(self._now, live=live, asked=asked)", "session"),
+    ("world points put into the slice's plane", "pipeline/running/session.py", "self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]", "self.frame.to_world(move(plane))", "session"),
     ("a window with the tissue of other cells", "mechanics/live/incision.py", "material = _restricted(organ.material, part.cells)", "material = _restricted(organ.material, np.arange(len(part.cells)))", "condensation"),
     ("a reach that forgets the skull's ramp", "mechanics/live/condensation.py", "return skull.craniotomy_mm + skull.ramp_mm", "return skull.craniotomy_mm", "condensation session"),
     ("lips pulled apart by what moves both to one side", "mechanics/live/lip_modes.py", "apart += blade.side * (self._normals @ along) + away", "apart += (self._normals @ along) + away", "session condensation"),
@@ -86,21 +86,21 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     ("a frame grown at the wrong end of a flipped axis", "imaging/carrying/transform.py", "(after if slice.flipped[k] else before)[k]", "before[k]", "transform"),
     ("vectors turned backwards", "imaging/carrying/companions.py", 'np.einsum("nij,nj->ni", _rotations(given), world[tissue])', 'np.einsum("nji,nj->ni", _rotations(given), world[tissue])', "companions"),
     # Stages, cache and outputs
-    ("a key without the versions of libraries", "pipeline/keys.py", '        "libraries": library_versions(libraries),\n', "", "cache"),
-    ("a key without the stage's own code", "pipeline/keys.py", '        "own code": own_digest(stage),\n', "", "cache"),
-    ("an entry that is used as old as it was", "pipeline/cache.py", "                        os.utime(entry.folder)\n", "                        pass\n", "cache"),
-    ("a key without the deformed slice that a cut was drawn in", "pipeline/chain.py", '        read |= {f"after {k}": done[label].entry.content(*VALUE) for label, k in self._drawn_in(stage.name).items()}\n', "", "steps chain"),
-    ("slivers between lips that touch counted as overlap", "pipeline/stage_warp.py", "shapely.distance(centres, lips) > SLIVER_MM", "shapely.distance(centres, lips) > 0", "lying_twice"),
-    ("files renamed before they are on the disk", "pipeline/disk.py", "                sync(temporary)\n", "                pass\n", "disk"),
-    ("somebody's link removed as a file left half-written", "pipeline/disk.py", "left.is_file() and not left.is_symlink()", "left.is_file()", "disk"),
-    ("a sparse matrix that comes back in another form", "pipeline/store.py", '.asformat(tree["sparse"])', "", "store"),
-    ("a check that is no number passes", "pipeline/verdicts.py", "not value <= within.untrusted.value", "value > within.untrusted.value", "verdicts"),
-    ("the two lips of a landmark labelled the wrong way round", "pipeline/stage_carry.py", '((0, "left"), (1, "right"))', '((1, "left"), (0, "right"))', "apply"),
+    ("a key without the versions of libraries", "pipeline/keeping/keys.py", '        "libraries": library_versions(libraries),\n', "", "cache"),
+    ("a key without the stage's own code", "pipeline/keeping/keys.py", '        "own code": own_digest(stage),\n', "", "cache"),
+    ("an entry that is used as old as it was", "pipeline/keeping/cache.py", "                        os.utime(entry.folder)\n", "                        pass\n", "cache"),
+    ("a key without the deformed slice that a cut was drawn in", "pipeline/stages/chain.py", '        read |= {f"after {k}": done[label].entry.content(*VALUE) for label, k in self._drawn_in(stage.name).items()}\n', "", "steps chain"),
+    ("slivers between lips that touch counted as overlap", "pipeline/stages/stage_warp.py", "shapely.distance(centres, lips) > SLIVER_MM", "shapely.distance(centres, lips) > 0", "lying_twice"),
+    ("files renamed before they are on the disk", "pipeline/keeping/disk.py", "                sync(temporary)\n", "                pass\n", "disk"),
+    ("somebody's link removed as a file left half-written", "pipeline/keeping/disk.py", "left.is_file() and not left.is_symlink()", "left.is_file()", "disk"),
+    ("a sparse matrix that comes back in another form", "pipeline/keeping/store.py", '.asformat(tree["sparse"])', "", "store"),
+    ("a check that is no number passes", "pipeline/telling/verdicts.py", "not value <= within.untrusted.value", "value > within.untrusted.value", "verdicts"),
+    ("the two lips of a landmark labelled the wrong way round", "pipeline/stages/stage_carry.py", '((0, "left"), (1, "right"))', '((1, "left"), (0, "right"))', "apply"),
     # The command line
     ("every error exits as one of data", "cli/main.py", "code = error.exit_code or EXIT_DATA", "code = EXIT_DATA", "cli mistakes"),
     ("an interrupted run exits as a failed one", "cli/run.py", "return 128 + error.signum", "return 1", "signals"),
     ("a batch row from the record of an earlier run", "cli/batch.py", 'return record if record.get("exit_code") == exit_code else {}', "return record", "batch"),
-    ("a table that trusts all that has come", "pipeline/batch_table.py", 'found["trusted"] = found["status"] == "complete"', 'found["trusted"] = True', "batch"),
+    ("a table that trusts all that has come", "pipeline/running/batch_table.py", 'found["trusted"] = found["status"] == "complete"', 'found["trusted"] = True', "batch"),
     ("a batch that succeeds with slices that are not trusted", "cli/batch.py", 'return EXIT_OK if counts["updated"] == len(items)', 'return EXIT_OK if not counts["failed"]', "batch"),
     ("a run that is not trusted is applied with status 0", "cli/tools.py", "FLAGS)}\")\n        return EXIT_UNTRUSTED", "FLAGS)}\")\n        return 0", "apply"),
 ))

@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 from time import process_time
 
-from xfemnav.pipeline.kernels import settle_kernel_cache
+from xfemnav.pipeline.keeping.kernels import settle_kernel_cache
 
 settle_kernel_cache()  # or numba would take kernels of other code for ours
 RESULTS = Path("benchmarks/results")

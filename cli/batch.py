@@ -46,8 +46,8 @@ class Outcome:
 
     def table_row(self, target: Path) -> dict:
         """Its row of the table in `target`, paths from there."""
-        from xfemnav.pipeline.batch_table import row
-        from xfemnav.pipeline.scenario_file import seen_from
+        from xfemnav.pipeline.asking.scenario_file import seen_from
+        from xfemnav.pipeline.running.batch_table import row
 
         item, said = self.item, CODE.match(self.message)
         image = item.image or self._recorded_image()
@@ -85,7 +85,7 @@ class Running:
 
 def run_item(item: Item, running: Running) -> Outcome:
     """Run one slice to its end. A crash, a signal or a full memory ends this process and no other."""
-    from xfemnav.pipeline.job import default_cache
+    from xfemnav.pipeline.running.job import default_cache
 
     # One thread a run: -j shares out the cores.
     program = [sys.executable, "-c", "from xfemnav_cli.main import main; main()", "run", "-q", "--threads", "1"]
@@ -146,7 +146,7 @@ def batch(source: Path, target: Path, jobs: int):
     never stops the others. Run again, finished work comes from the cache. Exit status 1 if any slice failed or is not
     trustworthy.
     """
-    from xfemnav.pipeline.batch_table import Table
+    from xfemnav.pipeline.running.batch_table import Table
 
     if not source.exists():
         raise click.UsageError(f"{printable(str(source))} does not exist.")

@@ -35,7 +35,7 @@ def phantom(folder, force):
 @FORCE
 def surgery(folder, force):
     """An operation in five steps on a slab of a real brain (MNI152, of the package nilearn), with its scenario."""
-    from xfemnav.pipeline import demo
+    from xfemnav.pipeline.running import demo
 
     demo.image()  # says what is missing
     from xfemnav_examples import surgery
@@ -46,7 +46,7 @@ def surgery(folder, force):
 def _deliver(write: Callable[[Path], object], folder: Path, force: bool) -> None:
     """Put the files that `write` makes in a folder into `folder`, all or none. Raises E501, E502, and E731 where one is
     there that holds something else."""
-    from xfemnav.pipeline.disk import write_together, writing
+    from xfemnav.pipeline.keeping.disk import write_together, writing
 
     with writing(Path(tempfile.gettempdir()), "temporary files"), tempfile.TemporaryDirectory() as scratch:
         write(Path(scratch))

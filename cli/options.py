@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from xfemnav.pipeline.settings import CONTROL, GROUPS, STAGES, TABLE, Setting, kind
+from xfemnav.pipeline.asking.settings import CONTROL, GROUPS, STAGES, TABLE, Setting, kind
 from xfemnav_cli.mistakes import REAL, Command
 
 FILE = click.Path(path_type=Path)

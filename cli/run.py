@@ -10,7 +10,7 @@ import click
 
 from xfemnav.errors import EXIT_UNTRUSTED, XfemnavError
 from xfemnav.interruption import checkpoint, forget
-from xfemnav.pipeline.settings import INPUT, STAGES, TABLE
+from xfemnav.pipeline.asking.settings import INPUT, STAGES, TABLE
 from xfemnav_cli.options import FILE, Grouped, Option, choice, option, options, until
 from xfemnav_cli.telling import FLAGS, Teller, complain, give_up
 
@@ -98,7 +98,7 @@ def _demo(**given) -> int:
 
     Options change it: `--lip-constraint pointwise --corridor-mm 0` are the paper's own choices.
     """
-    from xfemnav.pipeline import demo
+    from xfemnav.pipeline.running import demo
 
     given["output"] = given["output"] or Path("xfemnav_demo")
     return execute(demo.with_defaults(given) | {"image": demo.image()})
@@ -116,10 +116,10 @@ def execute(given: dict) -> int:
     if how.threads:
         for name in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
             os.environ[f"{name}_NUM_THREADS"] = str(how.threads)
-    from xfemnav.pipeline import job
-    from xfemnav.pipeline.bearings import told
-    from xfemnav.pipeline.config import configure
-    from xfemnav.pipeline.flags import keys
+    from xfemnav.pipeline.asking.config import configure
+    from xfemnav.pipeline.asking.flags import keys
+    from xfemnav.pipeline.running import job
+    from xfemnav.pipeline.telling.bearings import told
 
     scenario = given.get("scenario")
     names = FLAGS if scenario is None else keys(FLAGS)

@@ -56,7 +56,7 @@ def _image_of(scenario: Path) -> Path | None:
 
 
 def _names_an_image(scenario: Path) -> bool:
-    from xfemnav.pipeline.scenario_file import read_toml
+    from xfemnav.pipeline.asking.scenario_file import read_toml
 
     try:
         return "image" in read_toml(scenario)
@@ -71,7 +71,7 @@ def read_manifest(path: Path, target: Path) -> list[Item]:
     n/a, or nothing, is not given. A column that comes twice is given twice. Raises click.UsageError.
     """
     from xfemnav.imaging.reading.content import decoded, file_bytes
-    from xfemnav.pipeline.scenario_file import LIMIT_BYTES
+    from xfemnav.pipeline.asking.scenario_file import LIMIT_BYTES
 
     try:
         text = decoded(file_bytes(path, LIMIT_BYTES))
@@ -98,7 +98,7 @@ def read_manifest(path: Path, target: Path) -> list[Item]:
 
 
 def _item(path: Path, number: int, given: list[tuple[str, str]], target: Path) -> Item:
-    from xfemnav.pipeline.names import stem
+    from xfemnav.pipeline.keeping.names import stem
 
     own, words, home = {}, [], Path(os.path.abspath(path)).parent
     for column, cell in given:
@@ -129,7 +129,7 @@ def _option(path: Path, number: int, column: str, cell: str) -> list[str]:
 
 def _options() -> dict[str, click.Option]:
     """The settings that a manifest may have: those of a scenario."""
-    from xfemnav.pipeline.settings import TABLE
+    from xfemnav.pipeline.asking.settings import TABLE
     from xfemnav_cli.run import run
 
     return {option.name: option for option in run.params if option.name in TABLE}

@@ -21,17 +21,17 @@ FOLDER = click.option("-w", "--cache", "root", type=FILE, metavar="DIR",
 def check(scenario):
     """List every problem of a SCENARIO file, without running it; or of a finished RUN, given by its folder: outputs and
     inputs that are gone, inputs that have changed since."""
-    from xfemnav.pipeline.flags import keys
+    from xfemnav.pipeline.asking.flags import keys
 
     names = keys(FLAGS)
     if scenario.is_dir():
-        from xfemnav.pipeline.reopening import run_problems
+        from xfemnav.pipeline.running.reopening import run_problems
 
         faults = run_problems(scenario)
         found = [fault.told(names) for fault in faults]
         code = faults[0].exit_code if faults else 0
     else:
-        from xfemnav.pipeline.config import scenario_problems
+        from xfemnav.pipeline.asking.config import scenario_problems
 
         found = [said(text, names) for text in scenario_problems(scenario)]
         code = EXIT_CONFIG if found else 0
@@ -47,11 +47,11 @@ def check(scenario):
 def schema(which):
     """Print the JSON Schema of a scenario, or of run.json (`xfemnav schema run`)."""
     if which == "run":
-        from xfemnav.pipeline.runfile import run_schema
+        from xfemnav.pipeline.running.runfile import run_schema
 
         found = run_schema()
     else:
-        from xfemnav.pipeline.scenario import Scenario
+        from xfemnav.pipeline.asking.scenario import Scenario
 
         found = Scenario.model_json_schema()
     put(json.dumps(found, indent=2))
@@ -87,9 +87,9 @@ def apply(folder, files, output, step, force, **choices):
     surfaces (.stl, .vtk, .vtp, .gii, .obj, .ply). Each file is written whole or not at all,
     and one that fails stops no other. Exit status 1 if some of several failed.
     """
-    from xfemnav.pipeline.apply import Choices
-    from xfemnav.pipeline.apply import apply as apply_to
-    from xfemnav.pipeline.result import Result
+    from xfemnav.pipeline.running.apply import Choices
+    from xfemnav.pipeline.running.apply import apply as apply_to
+    from xfemnav.pipeline.running.result import Result
 
     if words := swapped(folder, files):
         raise XfemnavError("E100", words)
@@ -127,8 +127,8 @@ def swapped(folder: Path, files: tuple[Path, ...]) -> str | None:
 @FOLDER
 def doctor(root):
     """Check this installation: a small known motion through every format and frame, the cache, the libraries."""
-    from xfemnav.pipeline.doctor import examine
-    from xfemnav.pipeline.job import default_cache
+    from xfemnav.pipeline.running.doctor import examine
+    from xfemnav.pipeline.running.job import default_cache
 
     code = 0
     for found in examine(root or default_cache()):
@@ -144,8 +144,8 @@ def cache():
 
 
 def _opened(root):
-    from xfemnav.pipeline.cache import Cache
-    from xfemnav.pipeline.job import default_cache
+    from xfemnav.pipeline.keeping.cache import Cache
+    from xfemnav.pipeline.running.job import default_cache
 
     return Cache(root or default_cache())
 

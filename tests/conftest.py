@@ -11,7 +11,7 @@ import pytest
 from hypothesis import settings
 
 from xfemnav.interruption import ENDING
-from xfemnav.pipeline.kernels import settle_kernel_cache
+from xfemnav.pipeline.keeping.kernels import settle_kernel_cache
 
 settle_kernel_cache()  # before kernels are imported
 # What a shell has put in the background ignores SIGINT, and with nohup SIGHUP: commands that tests start would too.

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from small import CUT, RAS, brain, write
 
 import xfemnav
-from xfemnav.pipeline.apply import apply
-from xfemnav.pipeline.inputs import recorded
+from xfemnav.pipeline.running.apply import apply
+from xfemnav.pipeline.stages.inputs import recorded
 
 SMALL = {"element_size_mm": 8, "corridor_element_mm": 4, "report": False, "opening_mm": 6, "blade": (0, 0.5)}
 LPS = np.diag([-1.0, -1.0, 1.0])

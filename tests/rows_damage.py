@@ -15,9 +15,9 @@ from tests.fuzz.intact import FORMATS
 from tests.fuzz.targets import fed, finished, seeds
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.reading.gate import read_image
-from xfemnav.pipeline.cache import Cache
-from xfemnav.pipeline.config import scenario_problems
-from xfemnav.pipeline.result import Result
+from xfemnav.pipeline.asking.config import scenario_problems
+from xfemnav.pipeline.keeping.cache import Cache
+from xfemnav.pipeline.running.result import Result
 
 
 def refused(read, *arguments) -> str:

@@ -16,7 +16,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.imaging.carrying.transform import write_transform
 from xfemnav.imaging.carrying.vectors import write_nrrd
 from xfemnav.imaging.reading.gate import read_image
-from xfemnav.pipeline.disk import writing
+from xfemnav.pipeline.keeping.disk import writing
 
 VOLUME = image_of(TWELVE[:, :, :1] + np.arange(4), AFFINE)
 

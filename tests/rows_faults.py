@@ -15,7 +15,7 @@ from unittest import mock
 from rows import Row
 from small import CUT, OPEN, QUICK, main, write
 
-from xfemnav.pipeline import stage_mesh
+from xfemnav.pipeline.stages import stage_mesh
 
 
 def command(folder, *more):

@@ -12,8 +12,8 @@ from tests.headers import itk_affine, two_frames
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.points.point_files import read_points
 from xfemnav.imaging.reading.gate import read_image
-from xfemnav.pipeline.config import scenario_problems
-from xfemnav.pipeline.inputs import recorded
+from xfemnav.pipeline.asking.config import scenario_problems
+from xfemnav.pipeline.stages.inputs import recorded
 
 SMALL = {"element_size_mm": 8, "corridor_element_mm": 4, "report": False, "opening_mm": 4}
 

@@ -10,7 +10,7 @@ from rows import Row
 from small import CUT, write
 
 import xfemnav
-from xfemnav.pipeline.settings import TABLE
+from xfemnav.pipeline.asking.settings import TABLE
 
 
 def public_names(folder):

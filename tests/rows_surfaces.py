@@ -19,7 +19,7 @@ from tests.rows import Row
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.imaging.points.surface_files import read_surface
 from xfemnav.imaging.points.tract_files import read_streamlines
-from xfemnav.pipeline.apply import apply
+from xfemnav.pipeline.running.apply import apply
 
 LINE = np.array([[-30.0, -10, 10], [-30, 30, 10]])
 HEADER = {"voxel_to_rasmm": np.diag([2.0, 2, 2, 1]), "dimensions": (90, 90, 90), "voxel_sizes": (2, 2, 2),
@@ -155,7 +155,7 @@ def b_frame(folder: Path):
 
 
 def b_vtu(folder: Path):
-    from xfemnav.pipeline.files import read_vtu
+    from xfemnav.pipeline.keeping.files import read_vtu
 
     path = folder / "a.vtu"
     grid = vtp("binary").replace(b"PolyData", b"UnstructuredGrid")
@@ -170,7 +170,7 @@ def b_vtu(folder: Path):
 
 
 def b_bomb(folder: Path):
-    from xfemnav.pipeline.files import read_vtu
+    from xfemnav.pipeline.keeping.files import read_vtu
 
     block, n = 3 << 20, 1000    # 3 GB
     packed = zlib.compress(bytes(block), 9)

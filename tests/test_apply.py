@@ -18,8 +18,8 @@ from xfemnav.imaging.points.point_files import read_points, write_points
 from xfemnav.imaging.points.point_set import PointSet
 from xfemnav.imaging.points.stl import FACET
 from xfemnav.imaging.points.surface_files import read_surface
-from xfemnav.pipeline import disk, locks
-from xfemnav.pipeline.apply import Choices, apply, output_name
+from xfemnav.pipeline.keeping import disk, locks
+from xfemnav.pipeline.running.apply import Choices, apply, output_name
 
 POINTS = np.array([[5.0, 5.0, 10.0], [-25.0, 20.0, 12.0], [300.0, 0.0, 10.0]])
 LABELS = ("in", "near", "far")

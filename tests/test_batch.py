@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.batch_table import Table, row
-from xfemnav.pipeline.stage_solve import mean_displacement
+from xfemnav.pipeline.running.batch_table import Table, row
+from xfemnav.pipeline.stages.stage_solve import mean_displacement
 from xfemnav_cli import batch as command
 from xfemnav_cli.slices import find_items, read_manifest
 

@@ -12,7 +12,7 @@ from small import CUT, OPEN, QUICK, write, xfemnav
 from tests.images import ORDERS, affine_of, image_of, stored
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.imaging.frames.slices import take_slice
-from xfemnav.pipeline.bearings import Bearings, told, towards
+from xfemnav.pipeline.telling.bearings import Bearings, told, towards
 
 PLAIN = np.eye(3)
 MIDDLE = np.array([10.0, 20.0, 30.0])  # of a ball, RAS mm: its left half is not the left of the origin

@@ -13,7 +13,7 @@ from small import CUT, brain, write, xfemnav
 
 import xfemnav as package
 from xfemnav.errors import XfemnavWarning
-from xfemnav.pipeline import figure
+from xfemnav.pipeline.telling import figure
 
 STEPS = """xfemnav = 1
 image = "head.nii.gz"

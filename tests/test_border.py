@@ -15,7 +15,7 @@ from xfemnav.imaging.frames.slices import touching
 from xfemnav.imaging.organ.segment import segment
 from xfemnav.mechanics.conditions.skull import skull_conditions
 from xfemnav.mechanics.rules import Skull
-from xfemnav.pipeline.session import Session
+from xfemnav.pipeline.running.session import Session
 
 COARSE = {"element_size_mm": 6.0, "corridor_element_mm": 3.0}
 ROWS = 35  # where the brain of 72 rows is cut off: its centre lies in row 35.5

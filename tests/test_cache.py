@@ -9,10 +9,10 @@ import warnings
 import pytest
 
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.pipeline import disk, keys
-from xfemnav.pipeline.cache import TAG, TAGGED, Cache
-from xfemnav.pipeline.keys import PACKAGE, canonical, code_digest, digest
-from xfemnav.pipeline.stages import CARRY, FIGURE, SAFE, STAGES
+from xfemnav.pipeline.keeping import disk, keys
+from xfemnav.pipeline.keeping.cache import TAG, TAGGED, Cache
+from xfemnav.pipeline.keeping.keys import PACKAGE, canonical, code_digest, digest
+from xfemnav.pipeline.stages.table import CARRY, FIGURE, SAFE, STAGES
 
 KEY = digest("toy")
 PAYLOAD = bytes(range(256)) * 8
@@ -301,7 +301,8 @@ def test_edited_code_changes_the_keys_of_the_layers_above_it(tmp_path):
     layers = ("geometry", "imaging", "mechanics", "pipeline")
     before = {layer: code_digest((layer,), tmp_path) for layer in layers}
     for edited, expected in (("mechanics/__init__.py", ["mechanics", "pipeline"]),
-                             ("pipeline/report.html", ["pipeline"]), ("pipeline/run.schema.json", ["pipeline"])):
+                             ("pipeline/telling/report.html", ["pipeline"]),
+                             ("pipeline/running/run.schema.json", ["pipeline"])):
         (tmp_path / edited).write_text("# edited\n")
         code_digest.cache_clear()
         after = {layer: code_digest((layer,), tmp_path) for layer in layers}

@@ -16,13 +16,14 @@ import SimpleITK as sitk
 from scipy.ndimage import binary_erosion
 from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 
-from xfemnav.pipeline import keys, stage_segment
-from xfemnav.pipeline.config import configure
-from xfemnav.pipeline.inputs import recorded
-from xfemnav.pipeline.names import CARRIED, NAMES, OWN_NAME, PAGES, WITH_SIDECAR, public_name, sidecar_name
-from xfemnav.pipeline.runfile import run_schema
-from xfemnav.pipeline.scenario import problems
-from xfemnav.pipeline.settings import STAGES
+from xfemnav.pipeline.asking.config import configure
+from xfemnav.pipeline.asking.scenario import problems
+from xfemnav.pipeline.asking.settings import STAGES
+from xfemnav.pipeline.keeping import keys
+from xfemnav.pipeline.keeping.names import CARRIED, NAMES, OWN_NAME, PAGES, WITH_SIDECAR, public_name, sidecar_name
+from xfemnav.pipeline.running.runfile import run_schema
+from xfemnav.pipeline.stages import stage_segment
+from xfemnav.pipeline.stages.inputs import recorded
 
 ROLES = {"mask", "mesh", "solution", "cuts", "updated", "cavity", "overlap", "lips", "field", "transform", "scenario"}
 

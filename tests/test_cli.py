@@ -18,9 +18,10 @@ import pytest
 from small import CUT, OPEN, QUICK, write, xfemnav
 
 from tests.test_chain import ROLES
-from xfemnav.pipeline import disk, kernels, locks, stage_mesh
-from xfemnav.pipeline.runfile import run_schema
-from xfemnav.pipeline.scenario import problems
+from xfemnav.pipeline.asking.scenario import problems
+from xfemnav.pipeline.keeping import disk, kernels, locks
+from xfemnav.pipeline.running.runfile import run_schema
+from xfemnav.pipeline.stages import stage_mesh
 from xfemnav_cli.main import main
 from xfemnav_cli.telling import printable
 

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.config import configure, scenario_problems
-from xfemnav.pipeline.keys import canonical
-from xfemnav.pipeline.scenario import CompanionSection, Scenario, problems
-from xfemnav.pipeline.scenario_file import read_toml
-from xfemnav.pipeline.settings import FLAGS, KINDS, OF_COMPANIONS, STAGES, TABLE
+from xfemnav.pipeline.asking.config import configure, scenario_problems
+from xfemnav.pipeline.asking.scenario import CompanionSection, Scenario, problems
+from xfemnav.pipeline.asking.scenario_file import read_toml
+from xfemnav.pipeline.asking.settings import FLAGS, KINDS, OF_COMPANIONS, STAGES, TABLE
+from xfemnav.pipeline.keeping.keys import canonical
 from xfemnav_cli.run import Control, run
 
 SCENARIO = """
@@ -280,7 +280,7 @@ def test_every_stage_has_parameters_that_a_key_can_hold():
 
 
 def test_configuring_imports_no_numerics():
-    code = ("import sys, xfemnav_cli.main; from xfemnav.pipeline.config import configure;"
+    code = ("import sys, xfemnav_cli.main; from xfemnav.pipeline.asking.config import configure;"
             "configure('a.nii', flags={'cut': ('0,0 1,1',)});"
             "assert not {'numpy', 'scipy', 'nibabel'} & set(sys.modules)")
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from xfemnav.pipeline.crosscheck import cross_problems
+from xfemnav.pipeline.asking.crosscheck import cross_problems
 
 CUT = {"name": "approach", "points": [[0, 0], [1, 1]]}
 BLADE = {"name": "blade", "cut": "approach", "side": "left", "displacement_mm": [1, 1]}

@@ -2,7 +2,7 @@
 
 import os
 
-from xfemnav.pipeline import disk
+from xfemnav.pipeline.keeping import disk
 
 
 def test_all_is_synced_before_anything_is_renamed_and_the_folder_after(tmp_path, monkeypatch):

@@ -15,10 +15,10 @@ import click
 import pytest
 
 from xfemnav.errors import FAULTS
-from xfemnav.pipeline import errordocs, scenariodocs
-from xfemnav.pipeline.names import NAMES
-from xfemnav.pipeline.report import CHECKS
-from xfemnav.pipeline.scenario import problems
+from xfemnav.pipeline.asking.scenario import problems
+from xfemnav.pipeline.keeping.names import NAMES
+from xfemnav.pipeline.telling import errordocs, scenariodocs
+from xfemnav.pipeline.telling.report import CHECKS
 from xfemnav_cli.main import cli
 
 ROOT = Path(__file__).parents[1]
@@ -171,7 +171,7 @@ def test_every_code_on_a_page_exists(page):
 
 def test_page_of_outputs_names_every_file_key_and_check():
     text = (ROOT / "docs/reference/outputs.md").read_text()
-    schema = json.loads((ROOT / "xfemnav/pipeline/run.schema.json").read_text())["properties"]
+    schema = json.loads((ROOT / "xfemnav/pipeline/running/run.schema.json").read_text())["properties"]
     names = [name + ":NAME" if name == "companion" else name for name in NAMES]
     for name in [*names, "figure", "report", *schema, *schema["checks"]["properties"]]:
         assert f"`{name}`" in text, name

@@ -13,7 +13,8 @@ from xfemnav.imaging.points import markups, point_tables, surface_files
 from xfemnav.imaging.reading import conventions, mgh, nrrd
 from xfemnav.imaging.reading import nifti_frames as frames
 from xfemnav.imaging.selftest import known, roundtrip
-from xfemnav.pipeline import doctor, files, kernels
+from xfemnav.pipeline.keeping import files, kernels
+from xfemnav.pipeline.running import doctor
 
 CHECKS = {what: check for what, check, _ in roundtrip.CHECKS}
 MIRRORED = np.array([1.0, -1.0, 1.0])    # LPS with the sign of x forgotten

@@ -25,7 +25,7 @@ from faults.within import Here
 from numba import config
 from small import xfemnav
 
-from xfemnav.pipeline import kernels
+from xfemnav.pipeline.keeping import kernels
 
 SCRIPT = Path(__file__).parent / "faults" / "everywhere.py"
 HOW = (errno.ENOSPC, errno.EIO, errno.EACCES, HALF)

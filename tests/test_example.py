@@ -9,8 +9,8 @@ import pytest
 from small import xfemnav
 
 from data_synthetic import files, phantom, surgery
-from xfemnav.pipeline import disk
-from xfemnav.pipeline.scenario import problems
+from xfemnav.pipeline.asking.scenario import problems
+from xfemnav.pipeline.keeping import disk
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +63,6 @@ def test_a_full_disk_leaves_nothing(tmp_path, capfd, monkeypatch):
 
 def test_without_nilearn_it_is_said_what_to_install(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr("xfemnav.pipeline.demo.find_spec", lambda name: None)
+    monkeypatch.setattr("xfemnav.pipeline.running.demo.find_spec", lambda name: None)
     code, _, stderr = xfemnav(capfd, "example", "surgery", tmp_path / "out")
     assert code == 66 and "pip install 'xfemnav[demo]'" in stderr and not (tmp_path / "out").exists()

@@ -18,8 +18,8 @@ import pytest
 from small import CUT, OPEN, QUICK, RAS, brain, write, xfemnav
 
 from xfemnav.errors import FAULTS
-from xfemnav.pipeline import disk
-from xfemnav.pipeline.runfile import run_schema
+from xfemnav.pipeline.keeping import disk
+from xfemnav.pipeline.running.runfile import run_schema
 
 GOOD = {"cut": CUT, "lips": OPEN}
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from scipy.spatial import Delaunay
 
 from xfemnav.geometry.mesh import Mesh
-from xfemnav.pipeline import display, figure
+from xfemnav.pipeline.telling import display, figure
 
 RADIUS, MOUTH, TIP = 60.0, np.array([0.0, 60.0]), np.array([0.0, 20.0])
 
@@ -217,5 +217,5 @@ def test_overlap_is_drawn_and_a_run_without_cut_too(run, tmp_path):
 
 def test_pyplot_is_never_imported():
     """pyplot looks for a display and keeps global state; a figure of its own needs neither."""
-    code = "import sys, xfemnav.pipeline.figure; sys.exit('matplotlib.pyplot' in sys.modules)"
+    code = "import sys, xfemnav.pipeline.telling.figure; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

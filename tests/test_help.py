@@ -7,8 +7,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from xfemnav.pipeline.scenario import Scenario
-from xfemnav.pipeline.settings import GROUPS, TABLE
+from xfemnav.pipeline.asking.scenario import Scenario
+from xfemnav.pipeline.asking.settings import GROUPS, TABLE
 from xfemnav_cli.options import stage_of
 from xfemnav_cli.run import EXAMPLES, run, stage_commands
 

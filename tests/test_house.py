@@ -17,8 +17,8 @@ SOURCES = {path.relative_to(ROOT).as_posix(): ast.parse(path.read_text())
            for folder in ("xfemnav", "cli") for path in sorted((ROOT / folder).rglob("*.py"))}
 LINES, BODY, LONG_SHARE = 400, 30, 0.015
 #: Above the parts of a mesh, files that tell the plane from space: users give points of a slice, or of the world.
-PLANE_OR_WORLD = {"xfemnav/imaging/carrying/landmarks.py", "xfemnav/imaging/frames/slices.py", "xfemnav/pipeline/result.py",
-                  "xfemnav/pipeline/session.py"}
+PLANE_OR_WORLD = {"xfemnav/imaging/carrying/landmarks.py", "xfemnav/imaging/frames/slices.py",
+                  "xfemnav/pipeline/running/result.py", "xfemnav/pipeline/running/session.py"}
 ABOVE_PARTS = ("xfemnav/mechanics/", "xfemnav/imaging/", "xfemnav/pipeline/", "cli/")
 CODE = re.compile(r"\b[EW]\d{3}\b")
 
@@ -67,7 +67,7 @@ PARAMETERS = 8
 #: Functions with more: those of the public surface, which are called by keywords.
 MANY = {"xfemnav/imaging/carrying/companions.py: carry", "xfemnav/imaging/carrying/warp.py: update",
         "xfemnav/mechanics/live/condensation.py: condense", "xfemnav/mechanics/solving/intensity.py: _flux",
-        "xfemnav/pipeline/result.py: warp"}
+        "xfemnav/pipeline/running/result.py: warp"}
 
 
 def words(tree) -> set[str]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xfemnav.pipeline.layers import LAYERS, reach
+from xfemnav.pipeline.layers import LAYERS, ROOMS, reach
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = sorted((ROOT / "xfemnav").rglob("*.py")) + sorted((ROOT / "cli").rglob("*.py"))
@@ -97,6 +97,25 @@ def faults(layer: str, source: str, module_name: str = "") -> list[str]:
 @pytest.mark.parametrize("path", PACKAGE, ids=lambda path: str(path.relative_to(ROOT)))
 def test_imports_keep_to_the_layers(path):
     assert faults(layer_of(path), path.read_text(), path.relative_to(ROOT).as_posix()) == []
+
+
+def room_of(module: str) -> tuple[str, int]:
+    """The layer of a module by its dotted name, and which floor of it: 0 for the files beside its folders."""
+    layer, room = [*module.split(".")[1:], "", ""][:2]
+    return layer, ROOMS.get(layer, ()).index(room) + 1 if room in ROOMS.get(layer, ()) else 0
+
+
+@pytest.mark.parametrize("path", PACKAGE, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_keep_to_the_order_of_the_rooms(path):
+    layer, floor = room_of(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    above = [f"line {line}: {module}" for module, line in imports(path.read_text())
+             if module.startswith("xfemnav.") and room_of(module)[0] == layer and room_of(module)[1] > floor]
+    assert above == []
+
+
+def test_the_rooms_are_the_folders():
+    for layer, rooms in ROOMS.items():
+        assert sorted(rooms) == sorted(path.parent.name for path in (ROOT / "xfemnav" / layer).glob("*/__init__.py"))
 
 
 @pytest.mark.parametrize("layer, source", [

@@ -9,7 +9,7 @@ from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.carrying.warp import pull_back
 from xfemnav.imaging.frames.slices import take_slice
 from xfemnav.imaging.reading.gate import Image
-from xfemnav.pipeline.stage_warp import lying_twice
+from xfemnav.pipeline.stages.stage_warp import lying_twice
 
 SQUARE = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]], float)
 

@@ -15,9 +15,9 @@ import xfemnav as package
 from xfemnav.errors import FAULTS, XfemnavError
 from xfemnav.imaging.reading.gate import read_image
 from xfemnav.naming import ARGUMENTS, MARK, kept, said, told
-from xfemnav.pipeline.flags import keys
-from xfemnav.pipeline.scenario import Scenario
-from xfemnav.pipeline.settings import FLAGS, KEYS, TABLE
+from xfemnav.pipeline.asking.flags import keys
+from xfemnav.pipeline.asking.scenario import Scenario
+from xfemnav.pipeline.asking.settings import FLAGS, KEYS, TABLE
 from xfemnav_cli import main, telling
 
 SOURCES = sorted((Path(__file__).parents[1] / "xfemnav").rglob("*.py"))

@@ -16,11 +16,11 @@ from small import CUT, OPEN, QUICK, write, xfemnav
 from test_cache import KEY, build, refuse, tree
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline import cache_layout, kernels
-from xfemnav.pipeline.cache import Cache
-from xfemnav.pipeline.cache_layout import TAG, TAGGED
-from xfemnav.pipeline.disk import remove_temporaries
-from xfemnav.pipeline.keys import canonical, digest
+from xfemnav.pipeline.keeping import cache_layout, kernels
+from xfemnav.pipeline.keeping.cache import Cache
+from xfemnav.pipeline.keeping.cache_layout import TAG, TAGGED
+from xfemnav.pipeline.keeping.disk import remove_temporaries
+from xfemnav.pipeline.keeping.keys import canonical, digest
 
 GROUP, FOREIGN_TAG = KEY[:2], b"Signature: 8a477f597d28d172789f06886806bc55\n# of another program\n"
 ENTRY = f"entries/{GROUP}/{KEY}"

@@ -15,8 +15,8 @@ from small import CUT, write
 import xfemnav
 from data_synthetic import domains
 from xfemnav.geometry.plane.distmesh import distmesh
-from xfemnav.pipeline import card
-from xfemnav.pipeline.settings import TABLE
+from xfemnav.pipeline.asking.settings import TABLE
+from xfemnav.pipeline.telling import card
 from xfemnav_cli.run import run as command
 
 PUBLIC = {"Result", "Session", "XfemnavError", "XfemnavWarning", "__version__", "run"}

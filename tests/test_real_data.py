@@ -17,7 +17,7 @@ from small import xfemnav
 from tests.images import image_of
 from tests.test_dicom import write_series
 from xfemnav.imaging.points.point_files import PointSet, read_points, write_points
-from xfemnav.pipeline.demo import CUT, LIPS, SLICE
+from xfemnav.pipeline.running.demo import CUT, LIPS, SLICE
 
 DATA = Path(nilearn.__file__).parent / "datasets" / "data"
 T1, GREY, WHITE = (DATA / f"mni_icbm152_{kind}_tal_nlin_sym_09a_converted.nii.gz" for kind in ("t1", "gm", "wm"))

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from small import CUT, QUICK, brain, write, xfemnav
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.config import configure
-from xfemnav.pipeline.reopening import run_problems
-from xfemnav.pipeline.result import Result
-from xfemnav.pipeline.runfile import run_schema
+from xfemnav.pipeline.asking.config import configure
+from xfemnav.pipeline.running.reopening import run_problems
+from xfemnav.pipeline.running.result import Result
+from xfemnav.pipeline.running.runfile import run_schema
 
 
 @pytest.fixture(scope="module")

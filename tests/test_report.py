@@ -14,10 +14,10 @@ from pages import Tags
 from PIL import Image
 
 from xfemnav.errors import FAULTS
-from xfemnav.pipeline import methods, palette
-from xfemnav.pipeline.methods import methods_paragraph
-from xfemnav.pipeline.report import MMHG_PER_KPA, UNCHECKED, checked, flat, render, retractor_row, write_report
-from xfemnav.pipeline.scenario import Scenario
+from xfemnav.pipeline.asking.scenario import Scenario
+from xfemnav.pipeline.telling import methods, palette
+from xfemnav.pipeline.telling.methods import methods_paragraph
+from xfemnav.pipeline.telling.report import MMHG_PER_KPA, UNCHECKED, checked, flat, render, retractor_row, write_report
 
 EVIL = "<img src=x onerror=alert(1)>"
 PNG = b"\x89PNG\r\n\x1a\n stand-in"

@@ -10,7 +10,7 @@ import pytest
 from tests import small
 from xfemnav import run
 from xfemnav.errors import XfemnavError, XfemnavWarning
-from xfemnav.pipeline.config import configure
+from xfemnav.pipeline.asking.config import configure
 
 AFFINE = np.diag([1.0, 1.0, 2.0, 1.0])
 AFFINE[:2, 3] = -50, -60

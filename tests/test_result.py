@@ -14,7 +14,8 @@ from scipy.ndimage import binary_erosion
 from small import CUT, brain, write
 
 import xfemnav
-from xfemnav.pipeline import kernels, keys, result
+from xfemnav.pipeline.keeping import kernels, keys
+from xfemnav.pipeline.running import result
 
 COARSE = {"element_size_mm": 8.0, "corridor_element_mm": 4.0, "report": False}
 
@@ -69,8 +70,8 @@ def test_warping_the_image_again_gives_the_updated_image(opened):
 
 def test_cavity_and_outline_are_the_runs(opened):
     """The folder tells what the run knew: its triangles, its organ, its outline now."""
-    from xfemnav.pipeline.cache import Cache
-    from xfemnav.pipeline.store import load
+    from xfemnav.pipeline.keeping.cache import Cache
+    from xfemnav.pipeline.keeping.store import load
 
     cavity = nib.load(opened.folder / opened.record["outputs"]["cavity"]).get_fdata()[:, :, 0] > 0
     assert cavity.any() and np.array_equal(opened.update.cavity, cavity)
@@ -235,8 +236,8 @@ def test_kernels_of_other_code_are_not_found(tmp_path, monkeypatch):
     kernel = "from numba import njit\n{}\n@njit(cache=True)\ndef {}():\n    return {}\n"
     (toy / "geometry" / "caller.py").write_text(
         kernel.format("from xfemnav.geometry.helper import helper", "caller", "helper()"))
-    command = ("from xfemnav.pipeline.kernels import settle_kernel_cache; settle_kernel_cache()\n"
-               "from xfemnav.pipeline.kernels import compiling; new = []\n"
+    command = ("from xfemnav.pipeline.keeping.kernels import settle_kernel_cache; settle_kernel_cache()\n"
+               "from xfemnav.pipeline.keeping.kernels import compiling; new = []\n"
                "from xfemnav.geometry.caller import caller\n"
                "with compiling('mesh', lambda: new.append(1)): print(caller(), bool(new))")
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
@@ -268,7 +269,7 @@ def test_damaged_kernels_are_compiled_anew(tmp_path, monkeypatch):
     """A flipped bit in compiled code would be a crash of the interpreter, in every run until somebody looks."""
     toy = toy_package(tmp_path)
     (toy / "geometry" / "one.py").write_text("from numba import njit\n@njit(cache=True)\ndef one():\n    return 1\n")
-    command = ("from xfemnav.pipeline.kernels import settle_kernel_cache; settle_kernel_cache()\n"
+    command = ("from xfemnav.pipeline.keeping.kernels import settle_kernel_cache; settle_kernel_cache()\n"
                "from xfemnav.geometry.one import one; print(one(), sum(one.stats.cache_hits.values()))")
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
 

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.config import Config, configure
-from xfemnav.pipeline.scenario import Scenario, problems
-from xfemnav.pipeline.scenario_file import placed, scenario_text, seen_from, toml
-from xfemnav.pipeline.scenariodocs import plain_keys, section_of
-from xfemnav.pipeline.settings import TABLE
+from xfemnav.pipeline.asking.config import Config, configure
+from xfemnav.pipeline.asking.scenario import Scenario, problems
+from xfemnav.pipeline.asking.scenario_file import placed, scenario_text, seen_from, toml
+from xfemnav.pipeline.asking.settings import TABLE
+from xfemnav.pipeline.telling.scenariodocs import plain_keys, section_of
 from xfemnav_cli.run import run
 
 EVERYTHING = {

@@ -25,7 +25,7 @@ from xfemnav.mechanics.live.incision import OutOfReach
 from xfemnav.mechanics.rules import Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.tissue.elasticity import Material
-from xfemnav.pipeline import session as module
+from xfemnav.pipeline.running import session as module
 
 COARSE = {"element_size_mm": 6.0, "corridor_element_mm": 2.0}
 PLAN = np.array([[-60.0, 10.0], [-15.0, 5.0]])

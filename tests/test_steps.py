@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small import RAS, brain, write, xfemnav
 
-from xfemnav.pipeline.result import Result
-from xfemnav.pipeline.runfile import run_schema
+from xfemnav.pipeline.running.result import Result
+from xfemnav.pipeline.running.runfile import run_schema
 
 SCENARIO = """
 xfemnav = 1

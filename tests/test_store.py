@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.plane.cut import Cut
-from xfemnav.pipeline.store import ARRAYS, TREE, load, read_array, save
+from xfemnav.pipeline.keeping.store import ARRAYS, TREE, load, read_array, save
 
 TRIANGLE = Mesh([[0, 0], [1, 0], [0, 1]], [[0, 1, 2]])
 DTYPES = st.sampled_from([np.float64, np.float32, np.int64, np.int8, np.bool_, np.complex128])

@@ -15,9 +15,9 @@ from small import xfemnav as command
 from xfemnav import limits
 from xfemnav.errors import FAULTS
 from xfemnav.naming import said
-from xfemnav.pipeline.runfile import run_schema
-from xfemnav.pipeline.stage_safe import CLOSE, largest_part, scaled, told
-from xfemnav.pipeline.verdicts import BOUNDS, DOUBTS, REASONS, doubts, is_trusted, reasons, stillness, verdicts
+from xfemnav.pipeline.running.runfile import run_schema
+from xfemnav.pipeline.stages.stage_safe import CLOSE, largest_part, scaled, told
+from xfemnav.pipeline.telling.verdicts import BOUNDS, DOUBTS, REASONS, doubts, is_trusted, reasons, stillness, verdicts
 
 LINEAR, FINITE = {"name": "linear"}, {"name": "neo-hookean"}
 
@@ -115,7 +115,7 @@ def test_the_part_named_is_safe_where_less_is_not(low, width):
 
 
 def test_all_that_blades_do_is_scaled_and_nothing_else():
-    from xfemnav.pipeline.config import configure
+    from xfemnav.pipeline.asking.config import configure
 
     config = configure("head.nii.gz", None, {"cut": CUT, "left": "1,2", "lip_force": "right=-3,4", "gravity": "0,-1",
                                              "skull": "contact", "skull_gap_mm": 1.0})

@@ -1,7 +1,7 @@
 from .errors import XfemnavError as XfemnavError
 from .errors import XfemnavWarning as XfemnavWarning
-from .pipeline.result import Result as Result
-from .pipeline.result import run as run
-from .pipeline.session import Session as Session
+from .pipeline.running.result import Result as Result
+from .pipeline.running.result import run as run
+from .pipeline.running.session import Session as Session
 
 __version__: str

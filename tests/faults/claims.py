@@ -9,7 +9,7 @@ from pathlib import Path
 
 from jsonschema import Draft202012Validator
 
-from xfemnav.pipeline.runfile import run_schema
+from xfemnav.pipeline.running.runfile import run_schema
 
 RECORD = Draft202012Validator(run_schema())
 FINISHED = ("complete", "untrusted")

@@ -69,10 +69,10 @@ def write_inputs(folder: Path) -> None:
 
 def remember(put=setattr) -> None:
     """Let stages, the figure and the template of the report be what they were before, when asked the same again."""
-    from xfemnav.pipeline import figure, report
-    from xfemnav.pipeline.disk import write_atomic
-    from xfemnav.pipeline.stages import CARRY as CARRIED
-    from xfemnav.pipeline.stages import SAFE, STAGES
+    from xfemnav.pipeline.keeping.disk import write_atomic
+    from xfemnav.pipeline.stages.table import CARRY as CARRIED
+    from xfemnav.pipeline.stages.table import SAFE, STAGES
+    from xfemnav.pipeline.telling import figure, report
 
     known: dict[tuple, object] = {}
 

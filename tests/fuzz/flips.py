@@ -126,7 +126,7 @@ def _work(form: Format, path: Path, contents: dict[Path, bytes], numbers: range,
 
 def fresh(count: int, seed: int = 0) -> dict:
     """`count` changes of compiled kernels, each before a process that runs them: it must find what it found before."""
-    command = ("from xfemnav.pipeline.result import Result\n"
+    command = ("from xfemnav.pipeline.running.result import Result\n"
                f"found = Result.load({str(Path(finished().name) / 'out')!r})\n"
                "print(found.to_current([[-30.0, 8], [10, 20]], 'left').tobytes().hex(), found.update.cavity.sum())")
     total = Tally()

@@ -30,12 +30,12 @@ from xfemnav.imaging.points.point_files import read_points
 from xfemnav.imaging.points.surface_files import read_surface
 from xfemnav.imaging.points.tract_files import read_streamlines
 from xfemnav.imaging.reading.gate import read_components, read_image
-from xfemnav.pipeline import kernels
-from xfemnav.pipeline.apply import apply
-from xfemnav.pipeline.cache import Cache
-from xfemnav.pipeline.config import configure, read_displacements
-from xfemnav.pipeline.files import nifti_bytes, read_vtu
-from xfemnav.pipeline.result import Result
+from xfemnav.pipeline.asking.config import configure, read_displacements
+from xfemnav.pipeline.keeping import kernels
+from xfemnav.pipeline.keeping.cache import Cache
+from xfemnav.pipeline.keeping.files import nifti_bytes, read_vtu
+from xfemnav.pipeline.running.apply import apply
+from xfemnav.pipeline.running.result import Result
 
 PACKED = re.compile(rb"[A-Za-z0-9+/=]{24,}")  # an array in base64
 

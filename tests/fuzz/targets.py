@@ -20,12 +20,12 @@ from xfemnav.imaging.points.point_set import FARTHEST
 from xfemnav.imaging.points.surface_files import decoded_surface
 from xfemnav.imaging.points.tract_files import decoded_streamlines, tract_bytes
 from xfemnav.imaging.reading.gate import content_digest, read_image
-from xfemnav.pipeline.apply import apply
-from xfemnav.pipeline.config import configure, read_displacements, scenario_problems
-from xfemnav.pipeline.files import read_mesh, read_soup
-from xfemnav.pipeline.result import Result
-from xfemnav.pipeline.runfile import OutputFolder
-from xfemnav.pipeline.scenario import Scenario
+from xfemnav.pipeline.asking.config import configure, read_displacements, scenario_problems
+from xfemnav.pipeline.asking.scenario import Scenario
+from xfemnav.pipeline.keeping.files import read_mesh, read_soup
+from xfemnav.pipeline.running.apply import apply
+from xfemnav.pipeline.running.result import Result
+from xfemnav.pipeline.running.runfile import OutputFolder
 from xfemnav_cli.telling import printable
 
 READ = 8192  # bytes of an input at most; a message names every problem of a scenario, and so grows with it

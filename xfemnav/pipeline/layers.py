@@ -13,6 +13,14 @@ LAYERS: dict[str, tuple[str, ...]] = {
 }
 """Layer -> the other layers it may import. `xfemnav.errors`, `limits` and `interruption` are open to all."""
 
+ROOMS: dict[str, tuple[str, ...]] = {
+    "geometry": ("plane", "solid"),
+    "mechanics": ("space", "tissue", "conditions", "solving", "live"),
+    "imaging": ("reading", "points", "frames", "organ", "carrying", "selftest"),
+    "pipeline": ("keeping", "asking", "telling", "stages", "running"),
+}
+"""Layer -> its folders, from the ground up: each may import those before it, and the files beside them."""
+
 
 def reach(layer: str) -> tuple[str, ...]:
     """`layer` and all layers below it, sorted: the code that a function of `layer` can run."""

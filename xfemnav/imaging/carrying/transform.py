@@ -41,7 +41,8 @@ def backward(slice: Slice, organ, tissue: Motion, gaps: str = "bridged", known: 
     """Where the `tissue` in each pixel of `slice` rested minus where it is now, (n1, n2, 2) mm.
 
     Pixels of the `organ`, triangles (m, 3, 2) mm at rest, that hold no tissue now are `gaps`, "bridged" or "extended"
-    (see `imaging.carrying.gaps`). What is neither organ nor tissue is 0. `known`: the pull-back on these pixels, if it is.
+    (see `imaging.carrying.gaps`). What is neither organ nor tissue is 0. `known`: the pull-back on these pixels, if
+    it is.
     """
     grid = slice.origin, slice.spacing, slice.values.shape
     motion = known or pull_back(tissue.rest, tissue.moved, *grid)

@@ -1,0 +1,1 @@
+"""What a run is asked: scenario, flags, what each stage reads."""

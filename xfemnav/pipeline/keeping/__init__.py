@@ -1,0 +1,1 @@
+"""What is kept on disk: cache, names, records, locks, compiled kernels."""
