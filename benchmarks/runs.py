@@ -74,7 +74,7 @@ def warm(image: Path, mask: Path) -> float:
         blades = tuple(Retraction(0, side, normal_mm=3.0, blade=(0.0, 0.8)) for side in (1, -1))
         solution = solve(pose(mesh, (cut,), Material(), Skull(), blades))
         grid = origin, spacing, values.shape
-        update(values, *grid[:2], covered(mesh.corners, *grid), pull_back(solution.rest, solution.moved, *grid))
+        update(values, covered(mesh.corners, *grid), pull_back(solution.rest, solution.moved, *grid))
         found.append(process_time() - start)
     return median(found[1:])
 

@@ -89,9 +89,9 @@ def main() -> None:
         "xfemnav: sample, cubic": lambda: sample(image, origin, spacing, pulled.resting, "cubic"),
         "xfemnav: sample, nearest": lambda: sample(image, origin, spacing, pulled.resting, "nearest"),
         ONE: lambda: update(
-            image, origin, spacing, organ, pull_back(rest, moved, origin, spacing, shape)),
+            image, organ, pull_back(rest, moved, origin, spacing, shape)),
         EACH: lambda: [
-            update(companion, origin, spacing, organ, pulled) for companion in companions],
+            update(companion, organ, pulled) for companion in companions],
         MANY: lambda: sample_volume(stacked, flat, np.zeros(3), places, tissue, "linear"),
         "xfemnav: sample_volume, one companion in 3-D": lambda: sample_volume(
             volume, tilted, np.array([0, 0, 20.0]), places, tissue, "linear"),

@@ -37,7 +37,7 @@ def test_at_rest_the_cavity_is_the_region_taken_out(rings):
     grid = np.array([-0.99, -0.99]), np.array([0.02, 0.02]), (700, 600)
     back = pull_back(solution.rest, solution.moved, *grid)
     organ, now = covered(MESH.corners, *grid), enclosed(solution.outline, *grid)
-    image = update(np.ones(grid[2]), *grid[:2], organ, back, now=now)
+    image = update(np.ones(grid[2]), organ, back, now=now)
     # A pixel is in by its centre: the error is a part of the boundary's pixels.
     (placed,) = taken(*rings)
     assert abs(image.cavity.sum() * 4e-4 - placed.area_mm2) < 0.02 * placed.region.length / 4

@@ -42,7 +42,7 @@ class Scene:
         self.tissue = self.pull.tissue
 
     def updated(self, interp="linear", **options):
-        return update(self.frame.values, self.frame.origin, self.frame.spacing, self.organ, self.pull, interp,
+        return update(self.frame.values, self.organ, self.pull, interp,
                       **options)
 
     def in_storage(self, values):

@@ -58,7 +58,7 @@ def known(linear, degrees=30.0) -> Known:
     moved = (rest - middle) @ plane_turn.T + middle
     turn = np.eye(3)
     turn[:2, :2] = plane_turn
-    made = update(frame.values, *grid[:2], covered(rest, *grid), pull_back(rest, moved, *grid))
+    made = update(frame.values, covered(rest, *grid), pull_back(rest, moved, *grid))
     return Known(frame, made, frame.axes.T @ turn @ frame.axes)
 
 

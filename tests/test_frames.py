@@ -55,7 +55,7 @@ def middle_of(image):
 def warped(slice):
     """The slice after the phantom's motion."""
     grid = slice.origin, slice.spacing, slice.values.shape
-    return update(slice.values, *grid[:2], covered(REST, *grid), pull_back(REST, MOVED, *grid))
+    return update(slice.values, covered(REST, *grid), pull_back(REST, MOVED, *grid))
 
 
 def shown_at(image, points):

@@ -187,7 +187,7 @@ def warped(phantom, solution):
     grid, (rest, moved) = phantom.grid, solution
     pulled = pull_back(rest, moved, grid.origin, grid.spacing, grid.shape)
     organ = covered(rest, grid.origin, grid.spacing, grid.shape)
-    return {interp: update(image, grid.origin, grid.spacing, organ, pulled, interp)
+    return {interp: update(image, organ, pulled, interp)
             for interp, image in (("linear", phantom.image()), ("nearest", phantom.labels))}
 
 

@@ -96,7 +96,7 @@ def test_tissue_at_rest_keeps_its_values_to_the_last_bit():
     rest = scattered(5)
     image = np.random.default_rng(0).normal(size=SHAPE).astype(np.float32).astype(float)
     for interp in ("linear", "nearest"):
-        result = update(image, ORIGIN, SPACING, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, rest), interp)
+        result = update(image, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, rest), interp)
         assert_array_equal(result.updated, image)
         assert not result.cavity.any() and not result.overlap.any()
 
@@ -122,7 +122,7 @@ def wedge(opening: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_the_cavity_is_the_gap(opening):
     rest, moved, gap = wedge(opening)
     fine = dict(origin=np.array([-29.95, -29.95]), spacing=np.array([0.1, 0.1]), shape=(600, 600))
-    result = update(np.ones((600, 600)), fine["origin"], fine["spacing"], covered(rest, **fine),
+    result = update(np.ones((600, 600)), covered(rest, **fine),
                     pull_back(rest, moved, **fine), fill=-7)
     x, y = np.moveaxis(centres(**fine), -1, 0)
     inside = result.cavity & (np.abs(x) < opening / 2)
@@ -139,7 +139,7 @@ def test_slivers_between_mask_and_mesh_are_no_cavity():
     rim = disc(24.0, 12)
     rest = np.stack([np.zeros_like(rim), rim, np.roll(rim, -1, axis=0)], axis=1)
     image = np.random.default_rng(0).uniform(1, 2, SHAPE)
-    result = update(image, ORIGIN, SPACING, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, rest))
+    result = update(image, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, rest))
     assert not result.cavity.any()
     assert_array_equal(result.updated, image.astype(np.float32))
 
@@ -166,7 +166,7 @@ def test_what_the_outline_draws_back_from_is_vacated_and_no_cavity():
     now = np.concatenate([rim[:24], gap[1:], rim[25:]])    # corner 24 is the mouth: two ends and a straight bridge
     shrink = np.array([1.0, 0.9])
     moved, now = moved * shrink, now * shrink
-    result = update(np.ones(SHAPE), ORIGIN, SPACING, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, moved),
+    result = update(np.ones(SHAPE), covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, moved),
                     now=enclosed(now, ORIGIN, SPACING, SHAPE), fill=-1)
     y = centres()[..., 1]
     assert not (result.cavity & result.vacated).any()
@@ -179,7 +179,7 @@ def test_resected_tissue_leaves_a_cavity_that_moves_with_the_rest():
     rest = scattered(3)
     kept = np.linalg.norm(rest.mean(axis=1), axis=1) > 8
     image = np.ones(SHAPE)
-    result = update(image, ORIGIN, SPACING, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest[kept], rest[kept]))
+    result = update(image, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest[kept], rest[kept]))
     assert_array_equal(result.cavity, covered(rest, ORIGIN, SPACING, SHAPE) & ~pulled(rest[kept], rest[kept]).tissue)
     assert result.cavity[30, 50] and result.updated[30, 50] == 0
 
@@ -189,13 +189,13 @@ def test_outside_is_kept_or_zero():
     organ = covered(rest, ORIGIN, SPACING, SHAPE)
     image = np.full(SHAPE, 5.0)
     result = pulled(rest, rest)
-    assert (update(image, ORIGIN, SPACING, organ, result).updated == 5).all()
-    assert_array_equal(update(image, ORIGIN, SPACING, organ, result, outside="zero").updated, 5.0 * organ)
+    assert (update(image, organ, result).updated == 5).all()
+    assert_array_equal(update(image, organ, result, outside="zero").updated, 5.0 * organ)
 
 
 def test_tissue_that_moves_out_of_the_outline_is_painted_over_the_outside():
     rest = scattered(0)
-    result = update(np.arange(61.0)[:, None] * np.ones(SHAPE), ORIGIN, SPACING, covered(rest, ORIGIN, SPACING, SHAPE),
+    result = update(np.arange(61.0)[:, None] * np.ones(SHAPE), covered(rest, ORIGIN, SPACING, SHAPE),
                     pulled(rest, rest + np.array([3.0, 0.0])))
     assert_allclose(result.updated[8:59, 50], np.arange(5, 56), atol=1e-5)
     assert result.cavity[5:8, 50].all() and result.updated[5:8, 50].max() == 0
@@ -232,7 +232,7 @@ def test_labels_stay_in_their_set_and_type():
     rest = scattered(1)
     labels = np.random.default_rng(0).choice([0, 3, 17, 2**30 + 1], SHAPE).astype(np.int32)
     moved = rest + 0.4 * np.sin(rest[..., ::-1] / 5)
-    result = update(labels, ORIGIN, SPACING, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, moved), "nearest")
+    result = update(labels, covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, moved), "nearest")
     assert result.updated.dtype == np.int32
     assert set(np.unique(result.updated)) <= set(np.unique(labels))
 
@@ -243,8 +243,8 @@ def test_the_order_of_an_array_in_memory_changes_nothing(interp):
     organ, motion = covered(rest, ORIGIN, SPACING, SHAPE), pulled(rest, rest + np.array([3.2, 1.1]))
     image = np.random.default_rng(0).normal(size=SHAPE)
     for same in (np.asfortranarray(image), image[::-1].copy()[::-1]):
-        assert_array_equal(update(same, ORIGIN, SPACING, organ, motion, interp).updated,
-                           update(image, ORIGIN, SPACING, organ, motion, interp).updated)
+        assert_array_equal(update(same, organ, motion, interp).updated,
+                           update(image, organ, motion, interp).updated)
 
 
 @pytest.mark.parametrize("interp", ["linear", "nearest"])

@@ -1,8 +1,8 @@
 """How messages call settings: by marks, which the edge that tells a message turns into words of its own.
 
-Below the command line a message names a setting as ⟦lip_constraint=mortar⟧: its name, and a value where there is one to
-give. The command line prints `--lip-constraint mortar`, Python `lip_constraint="mortar"`, and a run of a scenario the
-key `solve.lip_constraint = "mortar"`. A setting that was given as an option itself is ⟦!left⟧, also beside a scenario,
+Below the command line a message names a setting as ⟦interp=cubic⟧: its name, and a value where there is one to
+give. The command line prints `--interp cubic`, Python `interp="cubic"`, and a run of a scenario the
+key `warp.interp = "cubic"`. A setting that was given as an option itself is ⟦!left⟧, also beside a scenario,
 and ⟦?⟧, ⟦!?⟧ say where all of them are listed. Marks are kept in the cache, so that a warning that one edge met is told
 rightly by another.
 """
@@ -51,7 +51,7 @@ def kept(code: str, text: str, names: Names | None = None) -> dict:
 
 
 def flag(name: str, value: str = "") -> str:
-    """--lip-constraint mortar."""
+    """--interp cubic."""
     text = SHORT.get(name) or "--" + name.replace("_", "-")
     if value in ("", "True"):
         return text
@@ -60,7 +60,7 @@ def flag(name: str, value: str = "") -> str:
 
 
 def argument(name: str, value: str = "") -> str:
-    """lip_constraint="mortar"."""
+    """interp="cubic"."""
     return f"{name}={literal(value, '()')}" if value else name
 
 

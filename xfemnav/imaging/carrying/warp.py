@@ -141,9 +141,9 @@ def enclosed(outline, origin, spacing, shape) -> np.ndarray:
     return _fill((np.asarray(outline, float) - origin) / spacing, *shape)
 
 
-def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "linear", outside: str = "keep",
+def update(values, organ, pull_back: PullBack, interp: str = "linear", outside: str = "keep",
            fill: float = 0.0, now=None) -> Update:
-    """The image `values` (n1, n2) on its `origin` and `spacing` (2,) mm as it looks after the motion.
+    """The image `values` (n1, n2) on the pixels of its `pull_back` as it looks after the motion.
 
     `organ` (n1, n2) bool is the region of the organ at rest: rasterise the whole mesh with `covered`. The mask that the
     mesh was made from would not do, because pixels between its outline and the mesh's chords have no triangle and are
@@ -158,7 +158,7 @@ def update(values, origin, spacing, organ, pull_back: PullBack, interp: str = "l
     empty = organ & ~pull_back.tissue
     np.copyto(updated, dtype.type(fill), where=empty)
     cavity, vacated = (empty, np.zeros_like(empty)) if now is None else (empty & now, empty & ~now)
-    sample_into(updated, values, origin, spacing, pull_back.resting, interp)
+    sample_into(updated, values, pull_back.origin, pull_back.spacing, pull_back.resting, interp)
     return Update(updated, cavity, vacated, pull_back.overlap, float(fill), pull_back)
 
 

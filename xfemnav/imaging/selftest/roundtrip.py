@@ -96,7 +96,7 @@ def _images(folder: Path, name: str, write, tolerance=EXACT, orders=tuple(ORDERS
         frame = take_slice(read_image(path), plane="axial", position_mm=scene.position_mm)
         motion = scene_motion(scene, frame)
         grid = frame.origin, frame.spacing, frame.values.shape
-        made = update(frame.values, *grid[:2], covered(motion.rest, *grid), pull_back(motion.rest, motion.moved, *grid))
+        made = update(frame.values, covered(motion.rest, *grid), pull_back(motion.rest, motion.moved, *grid))
         nibabel.save(to_nifti(frame, made.updated), folder / "updated.nii.gz")
         found = nibabel.load(folder / "updated.nii.gz")
         voxels = np.moveaxis(np.indices(found.shape), 0, -1)

@@ -95,7 +95,7 @@ def _directed():
         frame = take_slice(image, plane="axial", position_mm=scene.position_mm)
         motion = scene_motion(scene, frame)
         grid = frame.origin, frame.spacing, frame.values.shape
-        made = update(frame.values, *grid[:2], covered(motion.rest, *grid), pull_back(motion.rest, motion.moved, *grid))
+        made = update(frame.values, covered(motion.rest, *grid), pull_back(motion.rest, motion.moved, *grid))
         yield scene, affine, frame, made
 
 

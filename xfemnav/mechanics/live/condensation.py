@@ -33,6 +33,8 @@ from xfemnav.mechanics.tissue.elasticity import Material, Tissue, stiffness
 HELD = ("fixed", "sliding")
 #: Right-hand sides that are solved at once.
 BATCH = 128
+#: Most nodes whose compliance is worked out before a cut asks for it.
+MOST = 1000
 #: Two facets more than the skull's conditions need stay open, so that each begins and ends at held nodes.
 FACETS = 2.0
 
@@ -138,12 +140,12 @@ class Condensation:
 
 def condense(
     mesh: Mesh, material: Material | Tissue, skull: Skull, path, *, reach_mm: float = 6.0, mouths=(), tips=(),
-    tip_radius_mm: float = 0.0, most: int = 1000
+    tip_radius_mm: float = 0.0
 ) -> Condensation:
     """Condense the organ for cuts that stay within `reach_mm` of a `path` (k, 2) mm, with `mouths` (m, 2) mm and with
     tip functions up to `tip_radius_mm` from `tips` (t, 2) mm.
 
-    The compliance of the `most` nodes nearest to the path, of those within reach, is worked out at once.
+    The compliance of the MOST nodes nearest to the path, of those within reach, is worked out at once.
     """
     line = shapely.LineString(path)
     ends = mesh.points[mesh.boundary_facets]
@@ -157,7 +159,7 @@ def condense(
         near |= gap < tip_radius_mm + reach_mm + FACETS * longest
     found = Condensation(mesh, material, skull, near)
     distance = _distance(line, mesh.points)
-    order = np.argsort(distance, kind="stable")[:most]
+    order = np.argsort(distance, kind="stable")[:MOST]
     nodes = np.zeros(len(distance), dtype=bool)
     nodes[order[distance[order] <= reach_mm]] = True
     nodes[mesh.boundary_facets[near]] = True

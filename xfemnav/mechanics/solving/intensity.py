@@ -12,6 +12,7 @@ no work on it, and only K_I needs the term.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -52,7 +53,7 @@ def stress_intensity(
     reached = part_near & np.isfinite(angle[split.part])
     points, weights, owner = _domain_rule(split.corners[reached], x, radius_mm)
     parts = split.part[reached][owner]
-    P = _flux(space, material, np.asarray(U), points, parts, tip, angle[parts], frame)
+    P = _flux(_About(space, material, tip, frame), np.asarray(U), points, parts, angle[parts])
     offset = (points - x) @ frame.T
     r = np.hypot(*offset.T)
     _, slope = _weight(r / radius_mm)
@@ -142,8 +143,18 @@ def _domain_rule(corners, x, radius):
     return points.reshape(-1, 2), weights.ravel(), np.repeat(owner[varying], weights.shape[1])
 
 
-def _flux(space, material, U, points, parts, tip, reference, frame, real_traction=True):
+class _About(NamedTuple):
+    """A tip by its number and its frame (2, 2), in a space, in one material."""
+
+    space: Space
+    material: Material
+    tip: int
+    frame: np.ndarray
+
+
+def _flux(about, U, points, parts, reference, real_traction=True):
     """P_j (2 modes, q, 2) in the tip's frame, of the solution with the unit field of each mode."""
+    space, material, tip, frame = about
     mu, lam = (constant[0] for constant in material.moduli_in([0]))
     along = np.stack([g @ U for g in space.gradient_in(points, parts)], axis=2)
     gradient = np.einsum("ai,qij,bj->qab", frame, along, frame)
@@ -182,9 +193,8 @@ def _lip_integral(space, material, U, tip, angle, frame, radius, pressure):
         # Where the lip lies on the tip's own line both terms without pressure vanish.
         keep = inside & (np.abs((q.points - split.fronts.at[tip]) @ frame[1]) > 1e-9 * radius)
         if keep.any():
-            P = _flux(
-                space, material, U, q.points[keep], q.parts[keep], tip, angle[q.parts[keep]], frame, real_traction=False
-            )
+            about = _About(space, material, tip, frame)
+            P = _flux(about, U, q.points[keep], q.parts[keep], angle[q.parts[keep]], real_traction=False)
             total += np.einsum("q,mqj,qj->m", (q.weights * weight)[keep], P, outward[keep])
         if pressure is not None:
             unit = _unit_gradient(space, material, q.points[inside], tip, angle[q.parts[inside]], frame)

@@ -307,7 +307,7 @@ class Result:
         values, grid = np.asarray(values), (self.frame.origin, self.frame.spacing, self.frame.values.shape)
         organ = covered(self.organ.corners, *grid)
         blank = asked_blank(values, organ, interp, outside, fill)
-        return update(values, *grid[:2], organ, self._pull_back, interp, outside, blank,
+        return update(values, organ, self._pull_back, interp, outside, blank,
                       now=enclosed(self.outline, *grid))
 
     @cached_property

@@ -186,7 +186,7 @@ class Session:
             raise XfemnavError("E780", f"interp {how[0]!r}, outside {how[1]!r}: wanted one of {', '.join(INTERP)}, and "
                                        f"one of {', '.join(OUTSIDE)}.")
         blank = asked_blank(values, self._at_rest, *how, own.fill if fill is None else fill)
-        return update(values, *grid[:2], self._at_rest, self._now.pulled, *how, blank).updated
+        return update(values, self._at_rest, self._now.pulled, *how, blank).updated
 
     def forces(self) -> "dict[str, RetractorForce]":
         """What each blade does: {"left": RetractorForce, ...}, mN per mm of thickness, kPa."""

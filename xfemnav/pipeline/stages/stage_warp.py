@@ -21,7 +21,7 @@ def compute(params, inputs):
     organ = covered(inputs.value("mesh").corners, *grid)  # also of what is taken out
     blank = blank_of(slice.values, organ, params.fill)
     motion = pull_back(solution.rest, solution.moved, *grid)
-    updated = update(slice.values, *grid[:2], organ, motion, interp=params.interp, outside=params.outside,
+    updated = update(slice.values, organ, motion, interp=params.interp, outside=params.outside,
                      fill=blank, now=enclosed(solution.outline, *grid))
     twice = lying_twice(motion.overlap, slice, problem, solution)
     if twice.any():
