@@ -6,6 +6,7 @@ Kernels are those of the code as it is: numba alone would not see a change in a 
 import locale
 import os
 import signal
+import sys
 
 import pytest
 from hypothesis import settings
@@ -25,8 +26,9 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 @pytest.fixture(autouse=True)
 def same_handlers():
     """The command notes signals from its first line on; the test program that runs it in its own process must not."""
-    before = {signum: signal.getsignal(signum) for signum in ENDING}
+    before, hook = {signum: signal.getsignal(signum) for signum in ENDING}, sys.unraisablehook
     yield
+    sys.unraisablehook = hook
     for signum, handler in before.items():
         signal.signal(signum, handler)
 

@@ -68,7 +68,7 @@ def test_a_cached_run_imports_no_numerics(head, capfd):
 
 @pytest.mark.parametrize("wanted, told", [((), False), (("-W", "default"), True)])
 def test_a_librarys_warning_is_told_to_those_who_ask_for_it(wanted, told):
-    code = ("import warnings\nfrom xfemnav.pipeline import runfile\nfrom xfemnav_cli.main import main\n"
+    code = ("import warnings\nfrom xfemnav.pipeline.running import runfile\nfrom xfemnav_cli.main import main\n"
             "runfile.run_schema = lambda: warnings.warn('a library is in doubt', RuntimeWarning)\n"
             "main(['schema', 'run'])")
     done = subprocess.run([sys.executable, *wanted, "-c", code], capture_output=True, text=True)

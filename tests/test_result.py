@@ -221,8 +221,8 @@ def test_kernels_have_a_place_where_nothing_can_be_written(monkeypatch):
 def toy_package(folder):
     """A package called xfemnav with what keeps kernels, and no kernels yet."""
     toy = folder / "xfemnav"
-    for name in ("__init__", "errors", *(f"pipeline/{part}" for part in ("__init__", "kernels", "keys", "layers",
-                                                                         "disk", "removal"))):
+    keeping = (f"keeping/{part}" for part in ("__init__", "kernels", "keys", "disk", "removal"))
+    for name in ("__init__", "errors", *(f"pipeline/{part}" for part in ("__init__", "layers", *keeping))):
         (toy / name).parent.mkdir(parents=True, exist_ok=True)
         (toy / f"{name}.py").write_bytes((keys.PACKAGE / f"{name}.py").read_bytes())
     (toy / "__init__.pyi").touch()

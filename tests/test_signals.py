@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 
 import pytest
 from faults.claims import RECORD, check_left, differ, files_in, public
@@ -137,6 +138,27 @@ def test_200_signals_to_fresh_processes(home, capfd):
 def test_more_signals_while_the_first_is_dealt_with(home, capfd):
     assert in_this_process(home, capfd, 6, burst=3)
     in_fresh_processes(home, capfd, 2, burst=3)
+
+
+def test_a_signal_that_is_lost_in_a_callback_is_taken_at_the_next_checkpoint(capfd):
+    """Twice at once, while a weak reference is called back: the second waits for no checkpoint, and is raised there."""
+    class Thing:
+        """Something that goes."""
+
+    def twice(_):
+        for _ in range(2):
+            signal.raise_signal(signal.SIGTERM)
+
+    interruption.forget()
+    interruption.note_signals()
+    thing = Thing()
+    reference = weakref.ref(thing, twice)
+    del thing
+    assert reference() is None
+    with pytest.raises(interruption.Interrupted) as caught:
+        interruption.checkpoint()
+    assert caught.value.signum == signal.SIGTERM and capfd.readouterr().err == ""
+    interruption.forget()
 
 
 @pytest.mark.slow

@@ -7,7 +7,9 @@ such handlers; in a program that uses the package as a library nothing is noted,
 
 import atexit
 import signal
+import sys
 import threading
+from functools import partial
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -34,7 +36,17 @@ def note_signals() -> None:
     for signum in ENDING if _working else ():
         if signal.getsignal(signum) is not signal.SIG_IGN:
             signal.signal(signum, _note)
+    if getattr(sys.unraisablehook, "func", None) is not _lost:
+        sys.unraisablehook = partial(_lost, sys.unraisablehook)
     atexit.register(_ignore)
+
+
+def _lost(hook, unraisable) -> None:
+    """What a second signal raised in a callback, where nothing can take it, is noted again for the next checkpoint."""
+    if not isinstance(unraisable.exc_value, Interrupted):
+        hook(unraisable)
+    elif _working:
+        _waiting.append(unraisable.exc_value.signum)
 
 
 def _ignore() -> None:
