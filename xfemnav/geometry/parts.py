@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from xfemnav.geometry.mesh import frozen_array, volumes
 
@@ -18,10 +19,16 @@ def freeze(table, **kinds) -> None:
         object.__setattr__(table, name, frozen_array(getattr(table, name), kind, shape, name))
 
 
-def shared(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+@njit(cache=True)
+def shared(one, other):
     """Which corner of the other cell (j, d + 1) each corner of the first (j, d + 1) is, -1 for none (j, d + 1)."""
-    same = one[:, :, None] == other[:, None, :]
-    return np.where(same.any(axis=2), same.argmax(axis=2), -1)
+    found = np.full(one.shape, -1)
+    for j in range(len(one)):
+        for a in range(one.shape[1]):
+            for b in range(other.shape[1]):
+                if one[j, a] == other[j, b]:
+                    found[j, a] = b
+    return found
 
 
 class Rows:

@@ -86,7 +86,7 @@ def _assemble(mesh, paths, segments, ends, tips, travel, region, resections):
         removed=removed,
         joins=joins[joined],
         through=shared(*mesh.cells[cell[joins[joined]]].swapaxes(0, 1)),
-        middles=join_ends[joined].mean(axis=1),
+        middles=(join_ends[joined, 0] + join_ends[joined, 1]) / 2,
         lips=Lips(lip_ends[lips], arcs[..., None], lip_parts[lips], segments.cut[line[lips]], between[lips, 3:]),
         rim=Faces(rim_ends[on_rim], rim_part[on_rim], np.full(on_rim.sum(), -1)),
         walls=walls(wall_ends, wall_parts, removed, resections),

@@ -114,10 +114,11 @@ def _gather(first, uses, start, rows, gradients, lam, mu, tip_rows, tip_blocks, 
         for i in range(d):
             indptr[d * r + i + 1] = begin + (i + 1) * length
         for k in range(width):
-            place[sharing[k]] = begin + d * k
+            s, at = sharing[k], begin + d * k
+            place[s] = at
             for i in range(d):
                 for j in range(d):
-                    indices[begin + i * length + d * k + j] = d * sharing[k] + j
+                    indices[at + i * length + j] = d * s + j
         for k in range(first[r], first[r + 1]):
             if uses[k] < rows.size:
                 e, a = uses[k] // corners, uses[k] % corners
@@ -128,11 +129,12 @@ def _gather(first, uses, start, rows, gradients, lam, mu, tip_rows, tip_blocks, 
                     for i in range(d):
                         both += gradients[e, a, i] * gradients[e, b, i]
                     for i in range(d):
-                        for j in range(d):
-                            crossed = m * (gradients[e, a, j] * gradients[e, b, i])
-                            if i == j:
-                                crossed += m * both
-                            data[at + i * length + j] += l * (gradients[e, a, i] * gradients[e, b, j]) + crossed
+                        x, u = gradients[e, a, i], gradients[e, b, i]
+                        data[at + i * length + i] += l * (x * u) + (m * (x * u) + m * both)
+                        for j in range(i):
+                            y, v = gradients[e, a, j], gradients[e, b, j]
+                            data[at + i * length + j] += l * (x * v) + m * (y * u)
+                            data[at + j * length + i] += l * (y * u) + m * (x * v)
             else:
                 f = tip_rows.shape[1]
                 e, a = (uses[k] - rows.size) // f, (uses[k] - rows.size) % f
