@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import click
@@ -51,8 +52,9 @@ def choice(words: Iterable[str]) -> click.Choice:
     return click.Choice(tuple(words), case_sensitive=False)
 
 
+@cache
 def option(name: str) -> Option:
-    """The option of a setting."""
+    """The option of a setting, the same in all commands that have it."""
     setting, taken = TABLE[name], kind(name)
     types = {int: int, float: REAL, os.PathLike: FILE, str: choice(setting.choices) if setting.choices else str}
     shape = {"is_flag": True} if taken is bool else {"type": types[taken], "multiple": setting.default == ()}
