@@ -53,7 +53,7 @@ def write_slice(folder: Path) -> tuple[Path, Path]:
     outline = brain_outline()
     outline = 18 + (outline - outline.min(axis=0)) / np.ptp(outline, axis=0).max() * 0.88 * SIDE * PIXEL_MM
     mask = enclosed(outline, np.zeros(2), np.full(2, PIXEL_MM), (SIDE, SIDE))
-    waves = 100 + 20 * np.sin(np.indices(mask.shape)[0] / 9)
+    waves = 100 + 5 * np.sin(np.indices(mask.shape)[0] / 9)
     noise = np.random.default_rng(0).normal(0, 3, mask.shape)
     affine, found = np.diag([PIXEL_MM, PIXEL_MM, 1, 1]), []
     for name, values in (("slice_T1w", (mask * waves + noise).astype(np.float32)), ("mask", mask.astype(np.uint8))):
