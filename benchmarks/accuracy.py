@@ -2,11 +2,10 @@
 
     python -m benchmarks.accuracy [problem ...] [--page]
 
-Problems: a a3 b c d e f1 f2 p-uniform p-graded angles fractions conditioning slivers
-placements short g pushes; all without a name (about half
-an hour on one core). Results are kept in benchmarks/results/accuracy.json, one entry a case; the page is written from
-all of them, with --page alone from what is there. The conforming references of p are computed once, into
-out/reference.
+Problems: a a3 b c d e f1 f2 p-uniform p-graded angles fractions conditioning slivers placements short g pushes; all
+without a name (about a quarter of an hour on one core). Results are kept in benchmarks/results/accuracy.json, one entry
+a case; the page is written from all of them, with --page alone from what is there. The conforming references of p are
+computed once, into out/reference.
 """
 
 import json

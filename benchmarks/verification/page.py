@@ -38,10 +38,11 @@ ENRICHMENTS = {"topological": "o-", "geometric": "s-", "none": "^:"}
 
 HEAD = """# Accuracy
 
-Written by `python -m benchmarks.accuracy` (all problems, about half an hour on one core; `--page` alone writes the page
-again from `benchmarks/results/`) and `python -m benchmarks.lips`. The conforming reference is `benchmarks/reference`:
-gmsh with the cut embedded, its nodes split by the connected parts of their fan of triangles, quadratic elements of
-scikit-fem, graded to every singular point, interaction integral with a smooth weight. xfemnav imports nothing of it.
+Written by `python -m benchmarks.accuracy` (all problems, about a quarter of an hour on one core; `--page` alone writes
+the page again from `benchmarks/results/`) and `python -m benchmarks.lips`. The conforming reference is
+`benchmarks/reference`: gmsh with the cut embedded, its nodes split by the connected parts of their fan of triangles,
+quadratic elements of scikit-fem, graded to every singular point, interaction integral with a smooth weight. xfemnav
+imports nothing of it.
 
 Sizes: about 2,000, 8,000 and 32,000 nodes. *Topological* enrichment is the method's own (nodes whose support holds the
 tip); *geometric* holds all nodes within a fixed radius (.6 of the crack's (half-)length; .5 in d; 1 mm in f1; a fifth
