@@ -1,6 +1,7 @@
 """Solving: lips where they should be, forces in balance, convergence to Williams' field, the tip's flip."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -306,3 +307,19 @@ def test_what_the_cut_costs_is_what_the_matrix_has_more(cuts):
     found, plain = solve(posed(MESH, cuts, BRAIN, HARD_SKULL)), posed(MESH, (), BRAIN, HARD_SKULL)
     assert found.added_nnz == found.nnz - stiffness(plain.space, BRAIN).nnz
     assert (found.added_nnz > 0) == bool(cuts)
+
+
+def test_along_the_cut_as_drawn_its_lips_are_where_they_are_along_the_snapped_one():
+    """A bend and a tip drawn beside nodes are snapped to them, by up to two thousandths of an element."""
+    bend, tip = (MESH.points[np.argmin(np.linalg.norm(MESH.points - x, axis=1))] for x in ((2.0, 45.0), (1.0, 20.0)))
+    h = MESH.sizes.max()
+    cut = cut_in(MESH, (3.0, 80.0), bend + (1e-3 * h, -5e-4 * h), tip + (-1e-3 * h, 0))
+    solution = solve(posed(MESH, (cut,), BRAIN, HARD_SKULL, both()))
+    drawn, snapped = replace(solution.motion, cuts=(cut.path,)), solution.motion
+    moved = shapely.hausdorff_distance(shapely.LineString(cut.path), shapely.LineString(snapped.cuts[0]))
+    assert 0 < moved <= 2e-3 * h
+    along = shapely.LineString(cut.path)
+    points = shapely.get_coordinates(shapely.line_interpolate_point(along, np.linspace(0.02, 0.98, 200) * cut.length))
+    points = points[np.linalg.norm(points - cut.path[1], axis=1) > 0.05]  # at a bend a point may change its lip
+    for side in (1, -1):
+        assert np.linalg.norm(drawn.to_current(points, side) - snapped.to_current(points, side), axis=1).max() < moved
