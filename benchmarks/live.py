@@ -27,9 +27,8 @@ from benchmarks.reference.mesh import split
 from data_synthetic import files, phantom
 from xfemnav import Session
 from xfemnav.geometry.plane.cut import place_cut
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.problem import pose
-from xfemnav.mechanics.rules import Skull
+from xfemnav.mechanics.rules import Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.tissue.elasticity import Material
 

@@ -28,9 +28,8 @@ from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.imaging.carrying.warp import covered, enclosed, pull_back, update
 from xfemnav.imaging.organ.outline import outline_of
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.problem import pose
-from xfemnav.mechanics.rules import Skull
+from xfemnav.mechanics.rules import Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.tissue.elasticity import Material
 

@@ -17,7 +17,7 @@ from xfemnav_cli.telling import FLAGS, Teller, complain, give_up
 EXAMPLES = (
     "xfemnav example phantom .",
     'xfemnav run sub-phantom_T1w.nii.gz --cut "58,50.2 25.4,22" --opening-mm 7',
-    'xfemnav run sub-phantom_T1w.nii.gz --resect "62,54 68,44 25,20" -o resected',
+    'xfemnav run sub-phantom_T1w.nii.gz --resect "62,54 68,44 25,20" --gravity 0,-1 -o sagged',
     "xfemnav run --scenario scenario.toml --model neo-hookean -o measured",
 )
 

@@ -13,13 +13,12 @@ from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.geometry.plane.window import near_cells, window
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.skull import skull_conditions
 from xfemnav.mechanics.live.condensation import condense, with_rim
 from xfemnav.mechanics.live.incision import CutThrough, OutOfReach, incise
 from xfemnav.mechanics.live.lip_modes import lip_modes
 from xfemnav.mechanics.live.live_motion import LiveMotion, Soup
-from xfemnav.mechanics.rules import Basis, LipRules, Skull
+from xfemnav.mechanics.rules import Basis, LipRules, Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.space.enrichment import enrich
 from xfemnav.mechanics.space.space import Space

@@ -18,9 +18,8 @@ from xfemnav.errors import XfemnavError
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.limits import SWAY
 from xfemnav.mechanics.conditions import skull as module
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.problem import Problem
-from xfemnav.mechanics.rules import Arc, Gravity, Skull
+from xfemnav.mechanics.rules import Arc, Gravity, Retraction, Skull
 from xfemnav.mechanics.solving.solution import Solution, solve
 from xfemnav.mechanics.tissue.elasticity import Material
 

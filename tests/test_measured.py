@@ -12,10 +12,9 @@ from tests.meshes import BRAIN, FREE, cut_in, disc, mapped, outline, posed, spac
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import Mesh
 from xfemnav.geometry.plane.cut import Cut
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.measured import measured_at
 from xfemnav.mechanics.conditions.skull import skull_conditions
-from xfemnav.mechanics.rules import Measured, Skull
+from xfemnav.mechanics.rules import Measured, Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.space.rim import rim_points
 

@@ -15,7 +15,7 @@ from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.grading import data_ends
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.rules import Retraction
 from xfemnav.mechanics.solving.solution import solve
 
 STEM = ((0, 77), (0, 30))  # drawn from outside; its lips are held on the first half of what lies inside

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.meshes import BRAIN, HARD_SKULL, cut_in, disc, posed
-from xfemnav.mechanics.conditions.lips import Retraction
+from xfemnav.mechanics.rules import Retraction
 from xfemnav.mechanics.solving.solution import solve
 
 

@@ -27,8 +27,7 @@ from tests.meshes import (
 from xfemnav.errors import XfemnavError, XfemnavWarning
 from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.distmesh import distmesh
-from xfemnav.mechanics.conditions.lips import Retraction
-from xfemnav.mechanics.rules import Skull
+from xfemnav.mechanics.rules import Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.tissue.elasticity import Material
 

@@ -20,8 +20,7 @@ from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.geometry.plane.snapping import SNAP
 from xfemnav.geometry.plane.subcells import embed
-from xfemnav.mechanics.conditions.lips import Retraction
-from xfemnav.mechanics.rules import Skull
+from xfemnav.mechanics.rules import Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 
 #: A drawn line may miss the organ, touch its outline, cross itself, free a piece, leave a blade nothing, and so on.

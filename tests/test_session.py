@@ -20,9 +20,8 @@ from xfemnav import Session, XfemnavError
 from xfemnav.geometry.plane.cut import place_cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.imaging.carrying.warp import covered, pull_back, update
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.live.incision import OutOfReach
-from xfemnav.mechanics.rules import Skull
+from xfemnav.mechanics.rules import Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.tissue.elasticity import Material
 from xfemnav.pipeline.running import session as module

@@ -11,8 +11,7 @@ from xfemnav.geometry.plane.cut import Cut
 from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.mechanics.conditions import skull as module
 from xfemnav.mechanics.conditions.constraints import SKULL
-from xfemnav.mechanics.conditions.lips import Retraction
-from xfemnav.mechanics.rules import Arc, Gravity, Measured, Skull
+from xfemnav.mechanics.rules import Arc, Gravity, Measured, Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.space.enrichment import BRANCH
 from xfemnav.mechanics.tissue.elasticity import Material

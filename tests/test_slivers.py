@@ -13,8 +13,7 @@ from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.limits import STRIP_ELEMENTS
-from xfemnav.mechanics.conditions.lips import Retraction
-from xfemnav.mechanics.rules import Arc, Skull
+from xfemnav.mechanics.rules import Arc, Retraction, Skull
 from xfemnav.mechanics.solving.solution import solve
 
 BOX = jittered(60.0, 30.0, 1.0, 0.25, seed=3)

@@ -19,9 +19,8 @@ from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.sizing import SizeField
 from xfemnav.imaging.carrying.warp import pull_back
 from xfemnav.mechanics.conditions.contact import lip_contacts, lip_pressure
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.problem import pose
-from xfemnav.mechanics.rules import LipRules, Rules, Skull
+from xfemnav.mechanics.rules import LipRules, Retraction, Rules, Skull
 from xfemnav.mechanics.solving.intensity import stress_intensity
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.tissue.elasticity import Material

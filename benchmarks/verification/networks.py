@@ -16,9 +16,8 @@ from xfemnav.geometry.plane.distmesh import distmesh
 from xfemnav.geometry.plane.grading import data_ends
 from xfemnav.geometry.plane.resection import place_resection
 from xfemnav.geometry.plane.sizing import SizeField
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.conditions.problem import Problem, pose
-from xfemnav.mechanics.rules import Basis, LipRules, Rules, Skull
+from xfemnav.mechanics.rules import Basis, LipRules, Retraction, Rules, Skull
 from xfemnav.mechanics.solving.solution import solve
 from xfemnav.mechanics.tissue.elasticity import Material
 

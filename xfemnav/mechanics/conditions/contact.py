@@ -20,7 +20,8 @@ import shapely
 from scipy.sparse import csr_array, vstack
 
 from xfemnav.mechanics.conditions.constraints import SKULL, Contacts, normal_rows
-from xfemnav.mechanics.conditions.lips import LEFT, RIGHT, Retraction, hats_at, knots_along, lip_quadrature
+from xfemnav.mechanics.conditions.lips import hats_at, knots_along, lip_quadrature
+from xfemnav.mechanics.rules import LEFT, RIGHT, Retraction
 from xfemnav.mechanics.space.space import Space
 
 #: Knots are so many elements apart, closer than where a blade holds: forces that cannot pull cannot swing either, and

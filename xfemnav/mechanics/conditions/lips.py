@@ -14,64 +14,9 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.chart import Chart
 from xfemnav.geometry.plane.cut import left_normals
 from xfemnav.mechanics.conditions.constraints import Constraints, vector_rows
-from xfemnav.mechanics.rules import BLADE, LipRules
+from xfemnav.mechanics.rules import LEFT, LipRules, Retraction
 from xfemnav.mechanics.space.quadrature import gauss
 from xfemnav.mechanics.space.space import Space
-
-LEFT, RIGHT = 1, -1
-RELATIVE_TO = ("loads", "rest")
-
-
-@dataclass(frozen=True)
-class Retraction:
-    """What a retractor does to one lip of one cut.
-
-    Exactly one of `displacement_mm` (dx, dy), `normal_mm` (away from the other lip) and `force_mN_per_mm` (fx, fy)
-    spread over the blade. `blade` (from, to): the part of the cut's length that is held, 0 at the mouth; None holds,
-    pointwise, every crossing but the tip cell's. `blade_given`: whether the user said so, and is told if it cannot be.
-    `relative_to`: displacements count from where the lip lies under all that acts but blades ('loads', by default for
-    normal_mm, unless blades alone hold the organ), or from its place at rest ('rest').
-    """
-
-    cut: int
-    side: int
-    displacement_mm: tuple[float, float] | None = None
-    normal_mm: float | None = None
-    force_mN_per_mm: tuple[float, float] | None = None
-    blade: tuple[float, float] | None = BLADE
-    blade_given: bool = True
-    relative_to: str | None = None
-
-    def __post_init__(self):
-        if self.relative_to not in (None, *RELATIVE_TO):
-            raise ValueError(f"relative_to is {self.relative_to!r}, not one of {RELATIVE_TO}")
-        if sum(x is not None for x in (self.displacement_mm, self.normal_mm, self.force_mN_per_mm)) != 1:
-            raise ValueError("give exactly one of displacement_mm, normal_mm, force_mN_per_mm")
-        if self.side not in (LEFT, RIGHT):
-            raise ValueError("side is +1 (left) or -1 (right)")
-        if self.blade is not None and not 0 <= self.blade[0] < self.blade[1] <= 1:
-            raise XfemnavError(
-                "E402",
-                f"blade {self.blade[0]:g},{self.blade[1]:g} is not on the cut; give FROM,TO with "
-                "0 <= FROM < TO < 1 (0 the mouth, 1 the tip).",
-            )
-
-    @property
-    def holds(self) -> bool:
-        """True when the lip's displacement is prescribed, not its force."""
-        return self.force_mN_per_mm is None
-
-    @property
-    def from_loads(self) -> bool:
-        """True when the lip's displacement counts from where it lies under all that acts but blades."""
-        default = "rest" if self.normal_mm is None else "loads"
-        return self.holds and (self.relative_to or default) == "loads"
-
-    def displacement(self, normals) -> np.ndarray:
-        """Prescribed displacement (k, 2) mm, from where it counts, where the left normals of the cut are (k, 2)."""
-        if self.displacement_mm is not None:
-            return np.tile(np.asarray(self.displacement_mm, float), (len(normals), 1))
-        return self.side * self.normal_mm * normals
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from xfemnav.mechanics.conditions.constraints import each_component
-from xfemnav.mechanics.conditions.lips import LipQuadrature, Retraction, lip_quadrature
+from xfemnav.mechanics.conditions.lips import LipQuadrature, lip_quadrature
+from xfemnav.mechanics.rules import Retraction
 from xfemnav.mechanics.space.space import Space
 from xfemnav.mechanics.tissue.elasticity import Material, Tissue
 

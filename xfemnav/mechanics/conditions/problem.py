@@ -18,13 +18,13 @@ from xfemnav.mechanics.conditions.bodies import Piece, sort_out
 from xfemnav.mechanics.conditions.conditions import Conditions
 from xfemnav.mechanics.conditions.constraints import stack
 from xfemnav.mechanics.conditions.contact import join, lip_contacts
-from xfemnav.mechanics.conditions.lips import Retraction, held_spans, lip_load, lip_quadrature, lip_rows
+from xfemnav.mechanics.conditions.lips import held_spans, lip_load, lip_quadrature, lip_rows
 from xfemnav.mechanics.conditions.loads import dead_loads
 from xfemnav.mechanics.conditions.nitsche import nitsche_load, nitsche_terms
 from xfemnav.mechanics.conditions.placing import functions_on, open_mouths, place
 from xfemnav.mechanics.conditions.skull import OutlineConditions, hung, refuse_mouths, skull_conditions
 from xfemnav.mechanics.conditions.slivers import warn_of_slivers, warn_of_strips
-from xfemnav.mechanics.rules import Loads, Rules, Skull
+from xfemnav.mechanics.rules import Loads, Retraction, Rules, Skull
 from xfemnav.mechanics.space.enrichment import BRANCH, Enrichment
 from xfemnav.mechanics.space.space import Space
 from xfemnav.mechanics.tissue.elasticity import Material, Tissue

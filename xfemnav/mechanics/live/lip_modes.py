@@ -15,9 +15,9 @@ from scipy.sparse import csr_array
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.conditions.constraints import Constraints, Contacts, refuse_contradiction, stack
 from xfemnav.mechanics.conditions.contact import lip_contacts
-from xfemnav.mechanics.conditions.lips import Retraction, held_length, held_spans, lip_quadrature, lip_rows
+from xfemnav.mechanics.conditions.lips import held_length, held_spans, lip_quadrature, lip_rows
 from xfemnav.mechanics.live.incision import Incision, too_stiff
-from xfemnav.mechanics.rules import LipRules
+from xfemnav.mechanics.rules import LipRules, Retraction
 from xfemnav.mechanics.solving.minimise import CONTRADICTION_MM, SETTLED, TOUCH_MM, pressed
 from xfemnav.mechanics.space.enrichment import BRANCH
 

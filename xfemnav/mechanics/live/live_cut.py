@@ -5,12 +5,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.conditions.lips import Retraction
 from xfemnav.mechanics.live.condensation import Condensation
 from xfemnav.mechanics.live.incision import Incision
 from xfemnav.mechanics.live.lip_modes import lip_modes
 from xfemnav.mechanics.live.live_motion import LiveMotion, Soup
-from xfemnav.mechanics.rules import BLADE, LipRules
+from xfemnav.mechanics.rules import BLADE, LipRules, Retraction
 from xfemnav.mechanics.solving.solution import RetractorForce
 
 

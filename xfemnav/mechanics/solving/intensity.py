@@ -19,8 +19,9 @@ import shapely
 
 from xfemnav.geometry.mesh import orient
 from xfemnav.mechanics.conditions.contact import lip_pressure
-from xfemnav.mechanics.conditions.lips import LEFT, RIGHT, lip_quadrature
+from xfemnav.mechanics.conditions.lips import lip_quadrature
 from xfemnav.mechanics.conditions.problem import Problem
+from xfemnav.mechanics.rules import LEFT, RIGHT
 from xfemnav.mechanics.solving.tip_basis import mode_combinations, tip_frame
 from xfemnav.mechanics.space.angles import centroids, touched_parts, unwrap
 from xfemnav.mechanics.space.branch import branch_gradients, polar

@@ -11,7 +11,22 @@ from typing import TYPE_CHECKING
 
 from xfemnav.errors import XfemnavError
 from xfemnav.imaging.reading.content import decoded, file_bytes
-from xfemnav.mechanics.rules import BLADE, Arc, Basis, Gravity, LipRules, Loads, Measured, Pressure, Rules, Skull, Solid
+from xfemnav.mechanics.rules import (
+    BLADE,
+    LEFT,
+    RIGHT,
+    Arc,
+    Basis,
+    Gravity,
+    LipRules,
+    Loads,
+    Measured,
+    Pressure,
+    Retraction,
+    Rules,
+    Skull,
+    Solid,
+)
 from xfemnav.pipeline.asking.crosscheck import OUTLINE, actors
 from xfemnav.pipeline.asking.flags import add_flags, confined, numbers, path_places, printed
 from xfemnav.pipeline.asking.parameters import (
@@ -26,7 +41,6 @@ from xfemnav.pipeline.asking.parameters import (
     MeshParams,
     ReadParams,
     ResectParams,
-    RetractParams,
     SegmentParams,
     SolveParams,
     Step,
@@ -315,7 +329,7 @@ def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None, given:
     return ConstrainParams(
         cuts=_cuts(s, drawn), later_cuts=(),
         retractions=tuple(
-            RetractParams(names.index(r.cut), 1 if r.side == "left" else -1, r.displacement_mm,
+            Retraction(names.index(r.cut), LEFT if r.side == "left" else RIGHT, r.displacement_mm,
                           r.normal_mm, r.force_mN_per_mm, r.blade, known, r.relative_to)
             for r, known in zip(s.retract, given)),
         resections=tuple(ResectParams(r.name, points, space, r.labels, i if r.mask is not None else None, None)

@@ -5,7 +5,7 @@ A stage's key holds exactly its dataclass, so a parameter stands in the stage th
 
 from dataclasses import dataclass
 
-from xfemnav.mechanics.rules import Loads, Rules, Skull, Solid
+from xfemnav.mechanics.rules import Loads, Retraction, Rules, Skull, Solid
 
 #: Kind of a label's tissue: Young's modulus over the parenchyma's, and Poisson's ratio (None: the parenchyma's).
 KINDS = {"parenchyma": (1.0, None), "tumour": (3.0, None), "ventricle": (1 / 30, 0.1), "cavity": (1e-6, 0.0)}
@@ -90,21 +90,6 @@ class MeshParams:
 
 
 @dataclass(frozen=True)
-class RetractParams:
-    """One blade on one lip; `cut` is an index, `side` is +1 (left) or -1 (right); `relative_to`: from where its
-    displacement counts, None for the mechanics' own choice."""
-
-    cut: int
-    side: int
-    displacement_mm: tuple[float, float] | None
-    normal_mm: float | None
-    force_mN_per_mm: tuple[float, float] | None
-    blade: tuple[float, float] | None
-    blade_given: bool
-    relative_to: str | None
-
-
-@dataclass(frozen=True)
 class ConstrainParams:
     """Cuts, blades, resections, material, loads, and what holds the outline: the whole boundary value problem.
 
@@ -114,7 +99,7 @@ class ConstrainParams:
 
     cuts: tuple[CutParams, ...]
     later_cuts: tuple[CutParams, ...]
-    retractions: tuple[RetractParams, ...]
+    retractions: tuple[Retraction, ...]
     resections: tuple[ResectParams, ...]
     min_resection_mm: float
     space: str

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, WrapValidator, create_model, model_validator
 
 from xfemnav.errors import XfemnavError
-from xfemnav.mechanics.rules import SKULLS
+from xfemnav.mechanics.rules import RELATIVE_TO, SKULLS
 from xfemnav.pipeline.asking.crosscheck import cross_problems
 from xfemnav.pipeline.asking.flags import numbers, tables
 from xfemnav.pipeline.asking.settings import FLAGS, KEYS, KINDS, TABLE, kind
@@ -120,7 +120,7 @@ class RetractSection(Section):
     normal_mm: float | None = Field(None, description="displacement away from the other lip, mm")
     force_mN_per_mm: Vector | None = Field(None, description="force on the lip, mN per mm of thickness")
     blade: Vector | None = Field(None, description="held part of the cut: 0 at the mouth, 1 at the tip")
-    relative_to: Literal["loads", "rest"] | None = Field(
+    relative_to: Literal[RELATIVE_TO] | None = Field(
         None, description="from where the lip's displacement counts: where it lies under all that acts but blades, or "
                           "its preoperative place; left out: loads for normal_mm, rest for displacement_mm")
 

@@ -15,24 +15,20 @@ def _placed(cuts, paths, outline, others=()):
 
 def compute(params, inputs):
     """The cuts embedded in the mesh, and the conditions on lips and outline: a Problem."""
-    from xfemnav.mechanics.conditions.lips import Retraction
     from xfemnav.mechanics.conditions.problem import pose
 
     slice, segmentation = inputs.value("segment")
     mesh = inputs.value("mesh")
     outline = mesh.outline
     cuts = _placed(params.cuts, [_drawn_path(cut, inputs) for cut in params.cuts], outline)
-    blades = tuple(Retraction(cut=r.cut, side=r.side, displacement_mm=r.displacement_mm, normal_mm=r.normal_mm,
-                              force_mN_per_mm=r.force_mN_per_mm, blade=r.blade, blade_given=r.blade_given,
-                              relative_to=r.relative_to)
-                   for r in params.retractions)
     taken = _taken_out(params, mesh, cuts, inputs)
     number = {k: i for i, k in enumerate(taken)} | {None: None}
     loads = replace(params.loads, pressures=tuple(replace(load, resection=number[load.resection])
                                                   for load in params.loads.pressures))
     skull = replace(_in_plane(params.skull, slice, params.space), border=slice.border(segmentation.mask),
                     openings=_later_mouths(params, slice, outline))
-    return pose(mesh, cuts, tissue(params, mesh, inputs), skull, blades, tuple(taken.values()), loads, params.rules)
+    return pose(mesh, cuts, tissue(params, mesh, inputs), skull, params.retractions, tuple(taken.values()),
+                loads, params.rules)
 
 
 def _drawn_path(item, inputs):
