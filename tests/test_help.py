@@ -1,4 +1,4 @@
-"""The help of the command: every option under one heading, with the default that the program has, and examples."""
+"""The help of the command: every option under one heading, and examples that run."""
 
 import re
 import shlex
@@ -8,7 +8,6 @@ import pytest
 from click.testing import CliRunner
 from small import xfemnav
 
-from xfemnav.pipeline.asking.scenario import Scenario
 from xfemnav.pipeline.asking.settings import GROUPS, TABLE
 from xfemnav_cli.options import stage_of
 from xfemnav_cli.run import EXAMPLES, run, stage_commands
@@ -54,21 +53,6 @@ def own_stages(stage) -> list[str]:
     """A stage and those before it."""
     names = [command.name for command in stage_commands]
     return names[: names.index(stage) + 1]
-
-
-@pytest.mark.parametrize("name", [name for name, one in TABLE.items() if one.place and "*" not in one.place])
-def test_a_default_is_one(name):
-    """In the table, the schema and the help."""
-    section, setting = Scenario, TABLE[name]
-    *path, key = setting.place.split(".")
-    for part in path:
-        section = section.model_fields[part].annotation
-    default = section.model_fields[key].get_default(call_default_factory=True)
-    assert (default or None) == (setting.default or None)
-    told, = (param.help for param in run.params if param.name == name)
-    said = re.search(r"\[(.*)\]$", told)
-    assert (said is None) == (setting.default is None or setting.default is False or setting.default == ())
-    assert said is None or said[1] in (str(setting.default), f"{setting.default:g}" if said[1][0].isdigit() else None)
 
 
 def test_the_examples_run(tmp_path, monkeypatch, capfd):

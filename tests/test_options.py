@@ -6,6 +6,7 @@ two runs); an option without a row fails.
 
 import json
 import os
+import re
 import shutil
 import threading
 
@@ -16,6 +17,8 @@ import pytest
 from small import CUT
 
 from tests.option_files import files, run
+from tests.test_house import ROOT
+from xfemnav.pipeline.asking.settings import TABLE
 from xfemnav_cli import batch, main, tools
 from xfemnav_cli.run import run as run_command
 from xfemnav_cli.run import stage_commands
@@ -305,6 +308,20 @@ def test_an_option_of_apply_changes_what_it_says(apart, finished, monkeypatch, n
             (apart / folder / "head_desc-updated.nii.gz").write_bytes(b"")
     a, b = both(apart, monkeypatch, ("apply", "steps", file, *more), first, second)
     assert law(a, b), (a.out + a.err, b.out + b.err)
+
+
+def test_every_option_is_at_home_on_one_page():
+    """A setting in the generated page of keys, or in its words; what else a command takes, on the page of its topic."""
+    keys, outputs, apply, many = ((ROOT / "docs" / page).read_text() for page in (
+        "reference/scenario.md", "reference/outputs.md", "use/apply.md", "use/batch.md"))
+    for option in run_command.params:
+        if isinstance(option, click.Option):
+            called = rf"`{option.opts[-1]}(?![\w-])"
+            rows = re.findall(rf"^\|[^|]*{called}", outputs, re.MULTILINE)
+            assert (re.search(called, keys) and not rows) if option.name in TABLE else len(rows) == 1, option.name
+    assert all(re.search(rf"{option.opts[-1]}\b|(?<=[ `]){option.opts[0]}\b", apply) for option in tools.apply.params
+               if isinstance(option, click.Option))
+    assert re.search(r" -j \d", many)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -22,8 +22,8 @@ An example is in [worked-case.md](../use/worked-case.md).
 
 On the command line, ⟦cut⟧, ⟦markup⟧, ⟦left⟧, ⟦right⟧, ⟦lip_force⟧, ⟦opening_mm⟧, ⟦blade⟧ and ⟦internal⟧
 say what `[[cut]]` and `[[retract]]` say here. A ⟦cut⟧ takes the place of all cuts of the scenario and of what held
-their lips; a ⟦resect⟧ takes the place of all resections. ⟦companion=[KIND=]FILE⟧, ⟦points⟧, ⟦streamlines⟧ and
-⟦surfaces⟧ come after the scenario's own.
+their lips; a ⟦resect⟧ takes the place of all resections. ⟦companion=[KIND=]FILE⟧, with its ⟦axes⟧ and
+⟦tensor_order⟧, ⟦points⟧, ⟦streamlines⟧ and ⟦surfaces⟧ come after the scenario's own.
 """
 
 
