@@ -313,7 +313,7 @@ def test_along_the_cut_as_drawn_its_lips_are_where_they_are_along_the_snapped_on
     """A bend and a tip drawn beside nodes are snapped to them, by up to two thousandths of an element."""
     bend, tip = (MESH.points[np.argmin(np.linalg.norm(MESH.points - x, axis=1))] for x in ((2.0, 45.0), (1.0, 20.0)))
     h = MESH.sizes.max()
-    cut = cut_in(MESH, (3.0, 80.0), bend + (1e-3 * h, -5e-4 * h), tip + (-1e-3 * h, 0))
+    cut = cut_in(MESH, (3.0, 80.0), bend + np.array([1e-3, -5e-4]) * h, tip - np.array([1e-3, 0.0]) * h)
     solution = solve(posed(MESH, (cut,), BRAIN, HARD_SKULL, both()))
     drawn, snapped = replace(solution.motion, cuts=(cut.path,)), solution.motion
     moved = shapely.hausdorff_distance(shapely.LineString(cut.path), shapely.LineString(snapped.cuts[0]))
