@@ -11,10 +11,13 @@ import sys
 import pytest
 from hypothesis import settings
 
+from tests import raised
+from tests.raised import pytest_sessionfinish, pytest_terminal_summary, pytest_testnodedown  # noqa: F401
 from xfemnav.interruption import ENDING
 from xfemnav.pipeline.keeping.kernels import settle_kernel_cache
 
 settle_kernel_cache()  # before kernels are imported
+raised.note()
 # What a shell has put in the background ignores SIGINT, and with nohup SIGHUP: commands that tests start would too.
 for signum in ENDING:
     if signal.getsignal(signum) is signal.SIG_IGN:
