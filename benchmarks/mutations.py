@@ -72,7 +72,7 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     # The live session
     ("modes of blades of another length", "mechanics/live/live_cut.py", "key = sides, blade\n", "key = sides\n", "session condensation"),
     ("the image of the blades before", "pipeline/running/session.py", "_Now(live, self._now.drawn, asked)", "replace(self._now, live=live, asked=asked)", "session"),
-    ("world points put into the slice's plane", "pipeline/running/session.py", "self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]", "self.frame.to_world(move(plane))", "session"),
+    ("world points put into the slice's plane", "imaging/frames/slices.py", "slice.to_world(move(plane)) + distance[:, None] * slice.axes[2]", "slice.to_world(move(plane))", "session"),
     ("a window with the tissue of other cells", "mechanics/live/incision.py", "material = _restricted(organ.material, part.cells)", "material = _restricted(organ.material, np.arange(len(part.cells)))", "condensation"),
     ("a reach that forgets the skull's ramp", "mechanics/live/condensation.py", "return skull.craniotomy_mm + skull.ramp_mm", "return skull.craniotomy_mm", "condensation session"),
     ("lips pulled apart by what moves both to one side", "mechanics/live/lip_modes.py", "apart += blade.side * (self._normals @ along) + away", "apart += (self._normals @ along) + away", "session condensation"),

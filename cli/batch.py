@@ -1,6 +1,7 @@
 """`xfemnav batch IN OUT -j N`: the slices of a folder or a manifest, each in a process of its own, and their table."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import click
 
 from xfemnav.errors import EXIT_OK, EXIT_SOME_FAILED, EXIT_UNTRUSTED
 from xfemnav.interruption import checkpoint, forget
+from xfemnav_cli.mistakes import FILE
 from xfemnav_cli.slices import Item, find_items, read_manifest
 from xfemnav_cli.telling import printable, say
 
@@ -132,8 +134,8 @@ def run_items(items: list[Item], jobs: int, table) -> list[Outcome]:
 
 
 @click.command()
-@click.argument("source", metavar="IN|MANIFEST", type=click.Path(path_type=Path))
-@click.argument("target", metavar="OUT", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("source", metavar="IN|MANIFEST", type=FILE)
+@click.argument("target", metavar="OUT", type=FILE)
 @click.option("-j", "--jobs", type=click.IntRange(1), default=1, help="Slices at a time.")
 def batch(source: Path, target: Path, jobs: int):
     """Run every slice of IN that has a <stem>.toml beside it into OUT/<stem>, or the rows of a MANIFEST.
@@ -148,9 +150,7 @@ def batch(source: Path, target: Path, jobs: int):
     """
     from xfemnav.pipeline.running.batch_table import Table
 
-    if not source.exists():
-        raise click.UsageError(f"{printable(str(source))} does not exist.")
-    items = find_items(source, target) if source.is_dir() else read_manifest(source, target)
+    items = find_items(source, target) if os.path.isdir(source) else read_manifest(source, target)
     if not items:
         raise click.UsageError(f"{printable(str(source))} holds no <stem>.toml of a <stem>.nii.gz or .nii.")
     table = Table(target, [item.name for item in items])

@@ -8,9 +8,10 @@ from pathlib import Path
 import click
 
 from xfemnav.errors import XfemnavError
+from xfemnav_cli.mistakes import FILE
 from xfemnav_cli.telling import say
 
-FOLDER = click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
+FOLDER = click.argument("folder", metavar="DIR", type=FILE)
 FORCE = click.option("--force", is_flag=True, help="Replace files of these names that hold something else.")
 
 
@@ -67,4 +68,4 @@ def _deliver(write: Callable[[Path], object], folder: Path, force: bool) -> None
 
 def _holds_another(path: Path, data: bytes) -> bool:
     """Whether there is something else at a path."""
-    return os.path.lexists(path) and not (path.is_file() and path.read_bytes() == data)
+    return os.path.lexists(path) and not (os.path.isfile(path) and path.read_bytes() == data)

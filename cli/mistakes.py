@@ -6,6 +6,7 @@ place of a value, a unit behind a number) is read from the words before it.
 
 import difflib
 import re
+from pathlib import Path
 
 import click
 
@@ -31,6 +32,22 @@ class Number(click.ParamType):
 
 
 REAL = Number()
+
+
+class Place(click.Path):
+    """A path; no text is no path, though to pathlib it is the current folder."""
+
+    def __init__(self):
+        super().__init__(path_type=Path, readable=False)
+
+    def convert(self, value, param, ctx):
+        """The path; else a mistake."""
+        if value == "":
+            self.fail("an empty text is no path; the current folder is '.'.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+FILE = Place()
 
 
 class Command(click.Command):

@@ -3,14 +3,11 @@
 import os
 from collections.abc import Iterable
 from functools import cache
-from pathlib import Path
 
 import click
 
 from xfemnav.pipeline.asking.settings import CONTROL, GROUPS, STAGES, TABLE, Setting, kind
-from xfemnav_cli.mistakes import REAL, Command
-
-FILE = click.Path(path_type=Path)
+from xfemnav_cli.mistakes import FILE, REAL, Command
 
 
 class Option(click.Option):

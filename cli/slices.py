@@ -50,7 +50,7 @@ def _image_of(scenario: Path) -> Path | None:
     parts = scenario.stem.split(".")
     for n in range(len(parts), 0, -1):
         for suffix in IMAGE_SUFFIXES:
-            if (image := scenario.with_name(".".join(parts[:n]) + suffix)).is_file():
+            if os.path.isfile(image := scenario.with_name(".".join(parts[:n]) + suffix)):
                 return image
     return None if _names_an_image(scenario) else scenario.with_name(scenario.stem + IMAGE_SUFFIXES[0])
 

@@ -1,6 +1,7 @@
 """`xfemnav check`, `schema`, `apply`, `doctor` and `cache`."""
 
 import json
+import os
 from pathlib import Path
 
 import click
@@ -8,10 +9,9 @@ import click
 from xfemnav.errors import EXIT_CONFIG, EXIT_DATA, EXIT_SOME_FAILED, EXIT_UNTRUSTED, XfemnavError
 from xfemnav.interruption import checkpoint
 from xfemnav.naming import said, told
-from xfemnav_cli.mistakes import REAL, Command
+from xfemnav_cli.mistakes import FILE, REAL, Command
 from xfemnav_cli.telling import FLAGS, complain, put, say
 
-FILE = click.Path(path_type=Path)
 FOLDER = click.option("-w", "--cache", "root", type=FILE, metavar="DIR",
                       help="Cache.  [$XFEMNAV_CACHE, else ~/.cache/xfemnav]")
 
@@ -24,7 +24,7 @@ def check(scenario):
     from xfemnav.pipeline.asking.flags import keys
 
     names = keys(FLAGS)
-    if scenario.is_dir():
+    if os.path.isdir(scenario):
         from xfemnav.pipeline.running.reopening import run_problems
 
         faults = run_problems(scenario)
@@ -117,8 +117,8 @@ def apply(folder, files, output, step, force, **choices):
 
 def swapped(folder: Path, files: tuple[Path, ...]) -> str | None:
     """Told of a run that is named after the files, not before them."""
-    runs = [path for path in files if (path / "run.json").is_file()]
-    if not runs or (folder / "run.json").exists():
+    runs = [path for path in files if os.path.isfile(path / "run.json")]
+    if not runs or os.path.exists(folder / "run.json"):
         return None
     return f"no run.json in {folder}; the run's folder comes first: xfemnav apply {runs[0]} {folder}"
 

@@ -64,7 +64,7 @@ def stages(target: Path, stem: str) -> set[str]:
 
 def test_only_slices_with_a_scenario_of_their_name_are_run(tmp_path):
     for name in ("b.nii", "a.nii.gz", "a.toml", "b.toml", "alone.nii.gz", "nothing.toml", "a.txt"):
-        (tmp_path / name).touch()
+        (tmp_path / name).write_text("xfemnav = 1\n")
     items = find_items(tmp_path, Path("out"))
     assert [(item.image.name, item.folder) for item in items] == [
         ("a.nii.gz", Path("out/a")), ("b.nii", Path("out/b")), ("nothing.nii.gz", Path("out/nothing"))]
@@ -80,7 +80,7 @@ def table(target: Path) -> dict[str, dict[str, str]]:
 def test_slices_of_one_volume_share_it(tmp_path):
     """By the name of the image, by the name that they share with it, or by what they say."""
     for name in ("vol.nii.gz", "vol.z12.toml", "vol.a.z18.toml", "vol.toml", "none.z1.toml"):
-        (tmp_path / name).touch()
+        (tmp_path / name).write_text("xfemnav = 1\n")
     (tmp_path / "said.toml").write_text('image = "vol.nii.gz"')
     found = {item.name: item.image and item.image.name for item in find_items(tmp_path, Path("out"))}
     assert found == {"vol.z12": "vol.nii.gz", "vol.a.z18": "vol.nii.gz", "vol": "vol.nii.gz", "said": None,

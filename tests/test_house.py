@@ -18,7 +18,7 @@ SOURCES = {path.relative_to(ROOT).as_posix(): ast.parse(path.read_text())
 LINES, BODY, LONG_SHARE = 400, 30, 0.015
 #: Above the parts of a mesh, files that tell the plane from space: users give points of a slice, or of the world.
 PLANE_OR_WORLD = {"xfemnav/imaging/carrying/landmarks.py", "xfemnav/imaging/frames/slices.py",
-                  "xfemnav/pipeline/running/result.py", "xfemnav/pipeline/running/session.py"}
+                  "xfemnav/pipeline/running/session.py"}
 ABOVE_PARTS = ("xfemnav/mechanics/", "xfemnav/imaging/", "xfemnav/pipeline/", "cli/")
 CODE = re.compile(r"\b[EW]\d{3}\b")
 

@@ -34,7 +34,7 @@ EVERYTHING = {
 #: Keys of which one alone is given; values where the schema says less than the checks; what a value needs beside it.
 ONE_OF = (("points", "markups"), ("outline", "markups", "label", "mask"), ("index", "position_mm"),
           ("displacement_mm", "normal_mm", "force_mN_per_mm"))
-VALUES = {"blade": [0.1, 0.7], "gravity": [0.6, 0.8], "poisson": 0.25, "points": [[0.1, 1e-7], [1e22, -3]],
+VALUES = {"blade": [0.1, 0.7], "gravity": [0.6, 0.8], "poisson": 0.25, "points": [[0.1, 1e-7], [1e8, -3]],
           "outline": [[0, 0], [2, 0], [2, 2]], "corridor": [[0, 0], [5, 5]], "spacing": [0.5, 2.0], "acts": ["one"],
           "ends": ["one left"], "on": "outline", "cut": "one", "label": [1, 4]}
 CALLED = (("name", ("cut", 0)), ("name", ("resect", 0)))  # others name them, so they have names in EVERYTHING

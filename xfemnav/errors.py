@@ -158,6 +158,8 @@ FAULTS: dict[str, Fault] = {
     "E701": Fault(65, "file cannot be read", "A file beside the image is not in its format.", "Write it again."),
     "E702": Fault(65, "input has changed since the run", "A file that the run has read holds something else now, so that the run's motion is not of it.",
                   "Put the file of then back, or run again with the one of now."),
+    "E703": Fault(65, "output is not the run's", "A file that a run has written holds something else now, or its `run.json` is that of another run.",
+                  "Put the file of then back, or run again."),
     "E731": Fault(73, "output would overwrite a file that is not its own",
                   "The output folder holds a file that the run reads, or one of an output's name that no `run.json` there claims.",
                   "Give another ⟦output⟧, or move the file."),

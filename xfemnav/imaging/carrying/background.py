@@ -10,6 +10,7 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.imaging.reading.gate import LARGEST
 
 BLOCK = 0.1  # of each side of an image: the edge of its corner blocks
+INTERP, OUTSIDE = ("linear", "cubic", "nearest"), ("keep", "zero")
 RANGE = 1.0, 99.0  # percentiles of the organ's values between which a value looks like tissue
 
 
@@ -51,8 +52,17 @@ def storable(fill: float) -> float:
 def asked_blank(values, organ, interp: str, outside: str, fill: float | None) -> float:
     """`blank_of` an array that somebody asks for, by the way. Warns W211 of what was asked for alone.
 
-    Raises E780 where a `fill` is none of the array's own numbers, which nearest neighbours are.
+    Raises E130 where the array is none on the grid of the `organ`; E780 for words that are none, and where a `fill` is
+    none of the array's own numbers, which nearest neighbours are.
     """
+    if values.dtype.kind not in "buif":
+        raise XfemnavError("E130", f"the companion has values of type {values.dtype}; give real numbers.")
+    if values.shape != organ.shape:
+        raise XfemnavError("E130", f"the companion has {values.shape} pixels and the slice {organ.shape}; give it on "
+                                   "the slice's grid, along e1 and e2.")
+    if interp not in INTERP or outside not in OUTSIDE:
+        raise XfemnavError("E780", f"interp {interp!r}, outside {outside!r}: wanted one of {', '.join(INTERP)}, and "
+                                   f"one of {', '.join(OUTSIDE)}.")
     blank = blank_of(values, organ, fill)
     if interp == "nearest" and values.dtype.kind in "iu":
         ends = np.iinfo(values.dtype)

@@ -13,7 +13,7 @@ from xfemnav.geometry.locate import LIP, TOUCH, held
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.frames.grid import Grid
-from xfemnav.imaging.frames.slices import Slice
+from xfemnav.imaging.frames.slices import Slice, rows_of
 from xfemnav.imaging.points.point_set import PointSet, frame_suspicion
 
 TISSUE, ON_A_CUT, RESECTED, IN_THE_CUT, OUTSIDE = "tissue", "on a cut", "resected", "in the cut", "outside"
@@ -111,7 +111,7 @@ def _chosen(lips, side) -> np.ndarray:
 
 def _in_plane(points, frame: Grid):
     """The points (n, d), their plane mm (n, 2) and signed distance (n,) mm from the plane."""
-    points = np.array(points, float, ndmin=2)
+    points = rows_of(points)
     if points.shape[1] == 2:
         return points, points, np.zeros(len(points))
     return points, *frame.from_world(points)

@@ -173,6 +173,26 @@ def _index(name: str, plane: str, offsets: np.ndarray, thickness: float, index, 
     return int(index)
 
 
+def rows_of(points) -> np.ndarray:
+    """Points (n, 2) plane mm or (n, 3) world RAS mm of a program's numbers; one point is a row. Raises E780."""
+    try:
+        rows = np.array(points, ndmin=2)
+    except ValueError:  # rows of several lengths
+        rows = np.empty((0, 0))
+    if rows.dtype.kind not in "iuf" or rows.ndim != 2 or rows.shape[1] not in (2, 3):
+        raise XfemnavError("E780", "points are numbers, (n, 2) plane mm or (n, 3) world RAS mm.")
+    return rows.astype(float)
+
+
+def mapped(slice: Slice, points, move) -> np.ndarray:
+    """`points` as `move` maps plane points (n, 2), in their own form; world points keep their distance."""
+    rows = rows_of(points)
+    if rows.shape[1] == 2:
+        return move(rows).reshape(np.shape(points))
+    plane, distance = slice.from_world(rows)
+    return (slice.to_world(move(plane)) + distance[:, None] * slice.axes[2]).reshape(np.shape(points))
+
+
 def plane_points(slice: Slice, points, space: str = "ras") -> np.ndarray:
     """Plane mm (n, 2) of a user's `points`, read in `space` ras, lps or voxel.
 

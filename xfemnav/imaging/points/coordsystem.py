@@ -5,6 +5,7 @@ the scanner's, AC-PC, and the templates', all RAS. Systems of the head (CTF, Cap
 """
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -26,7 +27,7 @@ def beside(path: Path) -> Path | None:
     """
     own = _entities(path.name)
     found = [(len(entities), file) for file in path.parent.glob(f"*{ENDING}")
-             if (entities := _entities(file.name)) <= own and _space(entities) == _space(own) and file.is_file()]
+             if (entities := _entities(file.name)) <= own and _space(entities) == _space(own) and os.path.isfile(file)]
     closest = [file for n, file in found if n == max(n for n, _ in found)]
     return closest[0] if len(closest) == 1 else None
 

@@ -71,7 +71,7 @@ def each_file(path: Path, limit: int) -> Iterator[tuple[str, bytes]]:
     """Names and bytes of the regular files in a folder, sorted; not of its folders, and no hidden one."""
     try:
         sizes = {entry.name: entry.stat().st_size for entry in os.scandir(path)
-                 if entry.is_file() and not entry.name.startswith(".")}
+                 if os.path.isfile(entry.path) and not entry.name.startswith(".")}
     except OSError as error:
         raise XfemnavError("E100", f"cannot open {path}: {error.strerror}. Correct the path.") from None
     if len(sizes) > FILES:

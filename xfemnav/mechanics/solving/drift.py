@@ -55,15 +55,16 @@ def _named(problem, body):
 
 
 def refuse_flight(problem: Problem, motion: Motion, body) -> None:
-    """No equilibrium moves tissue farther than the organ is large, beyond what is prescribed.
+    """No equilibrium moves tissue farther than the organ is large, beyond what is prescribed; no blade does either.
 
     body (t,): which body each triangle of the motion belongs to. Raises XfemnavError E406.
     """
     size = np.ptp(problem.mesh.points, axis=0).max()
     far = np.linalg.norm(motion.moved - motion.rest, axis=2).max(axis=1)
     k = far.argmax()
-    if far[k] > size + np.abs(problem.constraints.d).max(initial=0.0):
-        why = "nothing keeps it in its place, or the load is too large for so soft a tissue"
+    if far[k] > size + min(size, np.abs(problem.constraints.d).max(initial=0.0)):
+        why = ("nothing keeps it in its place, a blade is asked for too much, or the load is too large for so soft a "
+               "tissue")
         if problem.hung is not None and problem.rules.model != "linear":
             why = "it has turned out of the skull that it only touches, whose contact is that of the shape at rest"
         raise XfemnavError(

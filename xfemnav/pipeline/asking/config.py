@@ -27,8 +27,9 @@ from xfemnav.mechanics.rules import (
     Skull,
     Solid,
 )
+from xfemnav.pipeline.asking.arguments import path_of
 from xfemnav.pipeline.asking.crosscheck import OUTLINE, actors
-from xfemnav.pipeline.asking.flags import add_flags, confined, numbers, path_places, printed
+from xfemnav.pipeline.asking.flags import add_flags, confined, numbers, path_places, printed, set_by
 from xfemnav.pipeline.asking.parameters import (
     KINDS,
     CarryParams,
@@ -46,7 +47,7 @@ from xfemnav.pipeline.asking.parameters import (
     Step,
     WarpParams,
 )
-from xfemnav.pipeline.asking.settings import FLAGS, STAGES
+from xfemnav.pipeline.asking.settings import STAGES
 from xfemnav.pipeline.asking.whereabouts import Known, found_again
 
 if TYPE_CHECKING:
@@ -117,25 +118,27 @@ def configure(image=None, scenario=None, flags: dict | None = None, *, until: st
     from xfemnav.pipeline.asking.scenario_file import read_toml
 
     raw, files, flags = {"xfemnav": 1}, {}, dict(flags or {})
-    if image is not None and str(image).lower().endswith(".toml"):
+    image = None if image is None else path_of(image, "image")
+    if image is not None and image.name.lower().endswith(".toml"):
         raise XfemnavError("E780", f"{image} is a scenario, not an image; give it as ⟦!scenario={image}⟧.")
     if scenario is not None:
-        raw = read_toml(Path(scenario))
-        files = confined(raw, Path(scenario).parent, flags.get("allow_outside"))
+        scenario = path_of(scenario, "scenario")
+        raw = read_toml(scenario)
+        files = confined(raw, scenario.parent, flags.get("allow_outside"))
     found, given = add_flags(raw, flags, own)
     if image is not None:
-        given["image"], raw["image"] = _with_a_name(Path(image)), printed(image)
+        given["image"], raw["image"] = _with_a_name(image), printed(image)
     files = {place: path for place, path in (files | given).items() if place in path_places(raw)}
     if "image" not in files:
         found.append("image: no image was given")
     if STAGES.index(until) >= STAGES.index("constrain") and not _moves(raw):
         found.append(NO_CUT)
-    checked, changed = validated(raw, {FLAGS[name]: name for name in flags if name in FLAGS}, tuple(found)), {}
+    checked, changed = validated(raw, set_by(flags), tuple(found)), {}
     if scenario is not None:
         own = {place: path for place, path in files.items() if place not in given}
-        again, changed = found_again(own, Path(scenario), checked.max_memory_gb)
+        again, changed = found_again(own, scenario, checked.max_memory_gb)
         files |= again
-    return _resolved(checked, files, changed, (Path(scenario),) if scenario is not None else ())
+    return _resolved(checked, files, changed, (scenario,) if scenario is not None else ())
 
 
 def _with_a_name(path: Path) -> Path:
@@ -151,7 +154,8 @@ def _moves(raw: dict) -> bool:
 
 
 def scenario_problems(path: Path) -> list[str]:
-    """Everything that is wrong with a scenario file, one line each: its form, its paths, the files that it names."""
+    """Everything that is wrong with a scenario file, one line each: its form, its paths, the files that it names.
+    Raises E100 where it is not there."""
     from xfemnav.pipeline.asking.scenario import problems
     from xfemnav.pipeline.asking.scenario_file import read_toml
 
@@ -160,6 +164,8 @@ def scenario_problems(path: Path) -> list[str]:
         found = problems(raw)
         files = confined(raw, path.parent)
     except XfemnavError as error:
+        if error.code == "E100":
+            raise
         return [f"{error.code} {error.text}"]
     if not _moves(raw):
         found.append(NO_CUT)
@@ -371,8 +377,6 @@ def _label(label: int, item, rest: Solid) -> LabelParams:
 
 def read_displacements(path: Path) -> tuple[tuple[float, ...], ...]:
     """Rows x, y, ux, uy[, side] (plane mm in the run's space) of a CSV with that header. Raises E100 and E408."""
-    if not os.path.isfile(path):
-        raise XfemnavError("E100", f"no file of boundary displacements at {path}. Correct the path.")
     try:
         table = list(csv.reader(io.StringIO(decoded(file_bytes(path, TABLE_BYTES, TABLE)), newline="")))
     except (ValueError, csv.Error) as error:

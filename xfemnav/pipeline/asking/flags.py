@@ -4,7 +4,6 @@ What is made here is raw: a dict as TOML gives it, which the schema then checks 
 """
 
 import difflib
-import math
 import os
 import re
 from pathlib import Path
@@ -13,7 +12,8 @@ from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.rules import BLADE
 from xfemnav.naming import Names, literal
 from xfemnav.naming import flag as option
-from xfemnav.pipeline.asking.settings import FLAGS, KEYS, KINDS, OF_COMPANIONS, TABLE
+from xfemnav.pipeline.asking.arguments import path_of, plain, real, shown
+from xfemnav.pipeline.asking.settings import FLAGS, KEYS, KINDS, LARGEST, OF_COMPANIONS, TABLE
 
 FLAG_OF = {place: option(name) for name, place in FLAGS.items()}
 #: Places of paths; "cut.*.markups" are those of every cut.
@@ -33,19 +33,34 @@ def add_flags(raw: dict, flags: dict, own: tuple[str, ...] = ()) -> tuple[list[s
     The problems found, one line each, and the files that the flags name, by their place in the scenario. `own` are
     the other arguments of who takes the flags, which a wrong name may be meant for.
     """
-    given = {name: value for name, value in flags.items() if value is not None and not _is_empty(value)}
+    given = {name: plain(value) for name, value in flags.items() if value is not None and not _is_empty(value)}
     found = [f"{name}: unknown option{_meant(name, own)}" for name in sorted(set(flags) - set(TABLE))]
     files = {}
     for name, place in FLAGS.items():
         if name in given:
             _put(raw, place, _plain(place, given[name]))
             if place in PATHS:
-                files[place] = Path(given[name])
+                files[place] = path_of(given[name], name)
     _add_cuts(raw, given, found, files)
     _add_lips(raw, given, found)
     _add_resections(raw, given, found, files)
     _add_files(raw, given, found, files)
     return found, files
+
+
+def set_by(flags: dict) -> dict[str, str]:
+    """The option that has set a place of the scenario, or all of a section, by the place; of `flags` that are given."""
+    given = [name for name, value in flags.items() if value is not None and not _is_empty(value)]
+    own = {place: name for name in given if (place := FLAGS.get(name) or KEYS.get(name))}
+    return {name: name for name in ("cut", "resect") if name in given} | own
+
+
+def by_option(text: str, flags: dict[str, str]) -> str:
+    """A problem of a place that an option has set, by the option: 'cut.0.points.1.0' is of what sets 'cut.points'."""
+    place, separator, what = text.partition(":")
+    keys = [re.sub(r"\.\d+", "", place), place.partition(".")[0]]
+    name = next((flags[key] for key in keys if key in flags), None)
+    return f"⟦!{name}⟧:{what}" if name and separator else text
 
 
 def _meant(name: str, own: tuple[str, ...]) -> str:
@@ -107,11 +122,11 @@ def confined(raw: dict, folder: Path, allow_outside: bool | None = None) -> dict
     Symbolic links are followed before they are judged. `allow_outside`, or else the scenario's own key, lets files lie
     where they will.
     """
-    folder, files, outside = folder.resolve(), {}, []
+    folder, files, outside = Path(os.path.realpath(folder)), {}, []
     anywhere = (raw.get("allow_outside") if allow_outside is None else allow_outside) is True
     for place, value in path_places(raw).items():
-        is_path = "\0" not in value
-        inside = is_path and not Path(value).is_absolute() and (folder / value).resolve().is_relative_to(folder)
+        leads_to = None if "\0" in value or os.path.isabs(value) else Path(os.path.realpath(folder / value))
+        inside = leads_to is not None and leads_to.is_relative_to(folder)
         if CONTROL.search(value) and (inside or anywhere) and not os.path.lexists(folder / value):
             raise XfemnavError("E780", f"{place} names {value!a}, with a tab or another control character. {BACKSLASH}")
         if not (inside or anywhere):
@@ -126,33 +141,33 @@ def confined(raw: dict, folder: Path, allow_outside: bool | None = None) -> dict
 
 def _add_cuts(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
     """`cut`, repeated, takes the place of the scenario's cuts and of what held their lips."""
-    cuts = _repeated(given.get("cut", ()))
-    if len(cuts):
+    cuts = _repeated(given.get("cut", []))
+    if cuts:
         names = ["cut"] if len(cuts) == 1 else [f"cut {i + 1}" for i in range(len(cuts))]
         raw["cut"] = [{"name": name} for name in names]
         raw.pop("retract", None)
         for i, (item, cut) in enumerate(zip(raw["cut"], cuts)):
             if _names_a_file(cut, MARKUPS):
-                item["markups"], files[f"cut.{i}.markups"] = printed(cut), Path(cut)
+                item["markups"], files[f"cut.{i}.markups"] = printed(cut), path_of(cut, "cut")
             else:
                 item["points"] = _points(cut, "cut", found)
     if "markup" in given:
         raw["cut"] = [item | {"markup": given["markup"]} if "markups" in item else item for item in tables(raw, "cut")]
-    if given.get("internal"):
-        raw["cut"] = [item | {"internal": True} for item in tables(raw, "cut")]
+    if given.get("internal", False) is not False:
+        raw["cut"] = [item | {"internal": given["internal"]} for item in tables(raw, "cut")]
 
 
 def _add_resections(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
     """`resect`, repeated, takes the place of the scenario's resections: points, a point file, a mask, or label=N,N."""
-    resections = _repeated(given.get("resect", ()))
-    if len(resections):
+    resections = _repeated(given.get("resect", []))
+    if resections:
         raw["resect"] = []
     for i, value in enumerate(resections):
         item = {"name": "resection" if len(resections) == 1 else f"resection {i + 1}"}
         is_mask = str(value).lower().endswith(MASKS) and isinstance(value, str | Path)
         for key, named in (("mask", is_mask), ("markups", _names_a_file(value, MARKUPS))):
             if named:
-                item[key], files[f"resect.{i}.{key}"] = printed(value), Path(value)
+                item[key], files[f"resect.{i}.{key}"] = printed(value), path_of(value, "resect")
                 break
         else:
             labels = str(value).removeprefix("label=").replace(" ", "").split(",")
@@ -168,25 +183,26 @@ def _add_resections(raw: dict, given: dict, found: list[str], files: dict[str, P
 
 def _add_files(raw: dict, given: dict, found: list[str], files: dict[str, Path]) -> None:
     """`companion` [KIND=]FILE, `points`, `streamlines` and `surfaces` come after the scenario's own."""
-    for value in _repeated(given.get("companion", ())):
-        kind, separator, name = str(value).partition("=")
+    for value in _repeated(given.get("companion", [])):
+        kind, separator, name = str(path_of(value, "companion")).partition("=")
         said, name = ({"kind": kind}, name) if separator and kind in KINDS else ({}, value)
         said |= {key: given[name] for name, key in OF_COMPANIONS.items() if name in given}
         items = raw["companion"] = [*tables(raw, "companion"), {"image": printed(name)} | said]
-        files[f"companion.{len(items) - 1}.image"] = Path(name)
+        files[f"companion.{len(items) - 1}.image"] = path_of(name, "companion")
     found += [f"⟦!{name}⟧: is for companions given by ⟦!companion⟧, and there is none"
               for name in OF_COMPANIONS if name in given and "companion" not in given]
     for key in ("points", "streamlines", "surfaces"):
-        for value in _repeated(given.get(key, ())):
+        for value in _repeated(given.get(key, [])):
             raw[key] = [*raw.get(key, ()), printed(value)]
-            files[f"{key}.{len(raw[key]) - 1}"] = Path(value)
+            files[f"{key}.{len(raw[key]) - 1}"] = path_of(value, key)
 
 
-def _repeated(value) -> tuple:
-    """The values of a repeatable flag; one value alone, or one list of points, is a tuple of one."""
-    if isinstance(value, str | Path) or (len(value) and not isinstance(value[0], Path) and _is_point(value[0])):
-        return (value,)
-    return tuple(value)
+def _repeated(value) -> list:
+    """The values of a repeatable flag: of a list of words, paths, or lists of points each, else the one value."""
+    inner = value if isinstance(value, list) else []
+    several = any(isinstance(item, str | Path) or (isinstance(item, list) and any(isinstance(x, list) for x in item))
+                  for item in inner)
+    return value if several or value == [] else [value]
 
 
 def _names_a_file(value, endings: tuple[str, ...]) -> bool:
@@ -196,17 +212,22 @@ def _names_a_file(value, endings: tuple[str, ...]) -> bool:
 def _add_lips(raw: dict, given: dict, found: list[str]) -> None:
     """`left`, `right`, `lip_force`, `opening_mm` hold the lips of the first cut; `blade` is for all of them."""
     lips = [{"side": side} | _moved(given[side], side, found) for side in ("left", "right") if side in given]
-    forces = given.get("lip_force", ())
-    for text in (forces,) if isinstance(forces, str) else forces:
-        side, _, force = text.partition("=")
-        lips.append({"side": side, "force_mN_per_mm": _vector(force, "lip_force", "left=FX,FY", found)})
+    for text in _repeated(given.get("lip_force", [])):
+        side, _, force = text.partition("=") if isinstance(text, str) else ("", "", "")
+        pair = numbers(force)
+        if side not in ("left", "right") or not _is_point(pair) or len(pair) != 2:
+            found.append(f"⟦!lip_force⟧: wants left=FX,FY or right=FX,FY, got {shown(text)}")
+        else:
+            lips.append({"side": side, "force_mN_per_mm": pair})
     if "opening_mm" in given:
-        if isinstance(given["opening_mm"], int | float) and given["opening_mm"] < 0:
-            found.append(f"⟦!opening_mm⟧: is how far the lips part, and not negative, got {given['opening_mm']:g}; did "
-                         f"you mean ⟦!opening_mm={-given['opening_mm']:g}⟧?")
+        if (opening := real(given["opening_mm"])) is None:
+            found.append(f"⟦!opening_mm⟧: wants a number of mm, at most {LARGEST:g}, got {shown(given['opening_mm'])}")
+        elif opening < 0:
+            found.append(f"⟦!opening_mm⟧: is how far the lips part, and not negative, got {opening:g}; did you mean "
+                         f"⟦!opening_mm={-opening:g}⟧?")
         if lips:
             found.append("⟦!opening_mm⟧: moves both lips, so it excludes ⟦!left⟧, ⟦!right⟧ and ⟦!lip_force⟧")
-        lips += [{"side": side, "normal_mm": given["opening_mm"] / 2} for side in ("left", "right")]
+        lips += [{"side": side, "normal_mm": (opening or 0.0) / 2} for side in ("left", "right")]
     sides = [lip["side"] for lip in lips]
     for side in sorted(set(sides)):
         if sides.count(side) > 1 and "opening_mm" not in given:
@@ -247,20 +268,20 @@ def _is_empty(value) -> bool:
     return isinstance(value, tuple) and not value
 
 
-def _is_point(value) -> bool:
-    return not isinstance(value, str) and len(value) > 0 and not hasattr(value[0], "__len__")
-
-
-def _points(text, name: str, found: list[str]) -> list:
+def _points(value, name: str, found: list[str]) -> list:
     """Points of "x,y x,y ..." or of rows of numbers."""
-    if not isinstance(text, str):
-        return [[float(x) for x in point] for point in text]
-    points = [numbers(word) for word in text.replace(";", " ").split()]
-    if not points or any(point is None or len(point) not in (2, 3) for point in points):
-        found.append(f"⟦!{name}⟧: wants points 'x,y x,y ...' without brackets, or a file, got {text[:60]!r}"
-                     f"{_points_meant(text, name)}")
+    text = isinstance(value, str)
+    points = [numbers(word) for word in value.replace(";", " ").split()] if text else value
+    if not points or not isinstance(points, list) or not all(map(_is_point, points)):
+        form = "points 'x,y x,y ...' without brackets" if text else "rows of two or three numbers, points 'x,y x,y ...'"
+        found.append(f"⟦!{name}⟧: wants {form}, or a file, got {shown(value)}"
+                     f"{_points_meant(value, name) if text else ''}")
         return [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]  # stands in, so that the other problems are found too
     return points
+
+
+def _is_point(value) -> bool:
+    return isinstance(value, list) and len(value) in (2, 3) and None not in map(real, value)
 
 
 def _points_meant(text: str, name: str) -> str:
@@ -274,9 +295,9 @@ def _points_meant(text: str, name: str) -> str:
 
 def _moved(value, side: str, found: list[str]) -> dict:
     """A lip's displacement of "3.5,1" or a pair, or how far it moves away from the other lip of one number."""
-    alone = numbers(value) if isinstance(value, str) else [value] if isinstance(value, int | float) else None
-    if alone is not None and len(alone) == 1 and math.isfinite(alone[0]):
-        return {"normal_mm": float(alone[0])}
+    alone = numbers(value) if isinstance(value, str) else [value]
+    if alone is not None and len(alone) == 1 and real(alone[0]) is not None:
+        return {"normal_mm": real(alone[0])}
     return {"displacement_mm": _vector(value, side, "DX,DY, or one, mm away from the other lip", found)}
 
 
@@ -295,10 +316,10 @@ def _span(value, found: list[str]) -> list[float]:
 
 
 def _vector(value, name: str, form: str, found: list[str]) -> list[float]:
-    """Two finite numbers of "3.5,1" or of a pair."""
-    pair = numbers(value) if isinstance(value, str) else [float(x) for x in value]
-    if pair is None or len(pair) != 2 or not all(map(math.isfinite, pair)):
-        found.append(f"⟦!{name}⟧: wants two finite numbers {form}, got {str(value)[:60]!r}")
+    """Two numbers of "3.5,1" or of a pair."""
+    pair = numbers(value) if isinstance(value, str) else value
+    if not _is_point(pair) or len(pair) != 2:
+        found.append(f"⟦!{name}⟧: wants two finite numbers {form}, none over {LARGEST:g}, got {shown(value)}")
         return [0.0, 0.0]
     return pair
 

@@ -15,9 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, Wrap
 
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.rules import RELATIVE_TO, SKULLS
+from xfemnav.pipeline.asking.arguments import shown
 from xfemnav.pipeline.asking.crosscheck import cross_problems
-from xfemnav.pipeline.asking.flags import numbers, tables
-from xfemnav.pipeline.asking.settings import FLAGS, KEYS, KINDS, TABLE, kind
+from xfemnav.pipeline.asking.flags import by_option, numbers, tables
+from xfemnav.pipeline.asking.settings import FLAGS, KEYS, KINDS, LARGEST, TABLE, bounds_of, kind
 
 SHOWN = 50  # problems of a scenario that are told
 # Problems that the mechanics has a code for, by their words.
@@ -27,14 +28,16 @@ OWN_CODES = {
     "E402": re.compile(r"blade must be FROM,TO"),
 }
 
-Vector = Annotated[tuple[float, float], Strict(False)]
-Point = Annotated[tuple[float, ...], Strict(False), Field(min_length=2, max_length=3)]
+Real = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Whole = Annotated[int, Field(le=int(LARGEST))]
+Vector = Annotated[tuple[Real, Real], Strict(False)]
+Point = Annotated[tuple[Real, ...], Strict(False), Field(min_length=2, max_length=3)]
 Points = Annotated[tuple[Point, ...], Strict(False)]
 Path_ = Annotated[str, Field(min_length=1, max_length=4096)]
 Paths_ = Annotated[tuple[Path_, ...], Strict(False), Field(max_length=200)]
 MANY = Field(max_length=200)  # cuts, steps, companions: more is a mistake, and would take for ever
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, le=LARGEST)]
+NotNegative = Annotated[float, Field(ge=0, le=LARGEST)]
 Name = Annotated[str, Field(pattern=r"^[\w .+-]{1,64}$")]
 #: What keys take: by the kind of their flag, or by the flag where it takes several values.
 OF_KIND = {bool: bool, int: int, float: float, os.PathLike: Path_}
@@ -50,7 +53,7 @@ def _in_one_line(value, check):
         raise ValueError("give a whole number from 1 on, or a list of such: [1, 3, 4]") from None
 
 
-Label = Annotated[int, Field(ge=1)]
+Label = Annotated[Whole, Field(ge=1)]
 Labels = Annotated[Label | Annotated[tuple[Label, ...], Strict(False), Field(min_length=1, max_length=200)],
                    WrapValidator(_in_one_line)]
 
@@ -68,7 +71,7 @@ def _keys(section: str, base: type[Section] = Section) -> type[Section]:
         home, _, key = setting.place.rpartition(".")
         if key and home == section:
             taken = Literal[setting.choices] if setting.choices else OF_FLAG.get(name) or OF_KIND[kind(name)]
-            said = Field(setting.default, description=setting.meaning, **dict(setting.bounds))
+            said = Field(setting.default, description=setting.meaning, **bounds_of(name))
             found[key] = (taken | None if setting.default is None else taken, said)
     return create_model(f"{base.__name__}Keys", __base__=base, **found)
 
@@ -117,7 +120,7 @@ class RetractSection(Section):
     cut: Name | None = Field(None, description="name of the cut; may be left out when there is one")
     side: Literal["left", "right"]
     displacement_mm: Vector | None = Field(None, description="displacement of the lip in the plane, mm")
-    normal_mm: float | None = Field(None, description="displacement away from the other lip, mm")
+    normal_mm: Real | None = Field(None, description="displacement away from the other lip, mm")
     force_mN_per_mm: Vector | None = Field(None, description="force on the lip, mN per mm of thickness")
     blade: Vector | None = Field(None, description="held part of the cut: 0 at the mouth, 1 at the tip")
     relative_to: Literal[RELATIVE_TO] | None = Field(
@@ -220,7 +223,7 @@ class PressureSection(Section):
 
     name: Name = Field("pressure", description="what steps call it")
     on: Name = Field(description="name of the resection, with which it begins, or `outline`")
-    kpa: float = Field(description="kPa, positive into the tissue (1 kPa is 7.5 mmHg)")
+    kpa: Real = Field(description="kPa, positive into the tissue (1 kPa is 7.5 mmHg)")
 
 
 class LoadSection(_keys("load")):
@@ -228,7 +231,7 @@ class LoadSection(_keys("load")):
 
     density_kg_m3: Positive = Field(1000.0, description="density of the tissue")
     fluid_density_kg_m3: NotNegative = Field(1007.0, description="density of the cerebrospinal fluid")
-    fluid_level_mm: float | None = Field(
+    fluid_level_mm: Real | None = Field(
         None, description="tissue farther along gravity than this (mm from the origin) floats in fluid; none: drained")
     pressure: Annotated[tuple[PressureSection, ...], Strict(False), MANY] = ()
 
@@ -328,18 +331,17 @@ def problems(raw: dict, flags: dict[str, str] | None = None) -> list[str]:
         found = flat + [_told(item, flags or {}) for item in items
                         if (item["type"] != "too_short" or item["loc"] not in inner)
                         and ".".join(map(str, item["loc"][:3])) not in places]
-    return found + cross_problems(raw)
+    return found + [by_option(text, flags or {}) for text in cross_problems(raw)]
 
 
 def _told(item: dict, flags: dict[str, str]) -> str:
     place = ".".join(str(part) for part in item["loc"])
-    called = f"⟦!{flags[place]}⟧" if place in flags else place
     if item["type"] == "extra_forbidden":
         return f"{place}: unknown key{_meant(item['loc'])}"
     text = "is no list" if item["type"] == "tuple_type" else item["msg"].removeprefix("Value error, ")
-    shown = item.get("input")
-    got = f", got {shown!r}" if isinstance(shown, str | int | float) and len(repr(shown)) < 60 else ""
-    return f"{called}: {text[0].lower()}{text[1:]}{got}{_mend(item)}" if place else text
+    given = item.get("input")
+    got = f", got {shown(given)}" if isinstance(given, str | int | float) and len(shown(given)) < 60 else ""
+    return by_option(f"{place}: {text[0].lower()}{text[1:]}{got}{_mend(item)}" if place else text, flags)
 
 
 def _meant(location: tuple) -> str:

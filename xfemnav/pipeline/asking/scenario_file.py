@@ -13,7 +13,7 @@ import tomllib
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.reading.content import decoded
+from xfemnav.imaging.reading.content import decoded, file_bytes
 from xfemnav.naming import flag
 from xfemnav.pipeline.asking.flags import BACKSLASH, MASKS, path_places, printed
 from xfemnav.pipeline.keeping.names import PAGES
@@ -23,20 +23,20 @@ AGAIN = f"xfemnav run {flag('scenario', NAME)} {flag('output', 'OTHER')}"
 HEAD = f"# The settings of this run, defaults filled in. The same again: {AGAIN}\n"
 UNSAYABLE = "# TOML holds UTF-8 alone, and the name of this file is none, so give it again: {place} = {name}\n"
 LIMIT_BYTES, LIMIT_DEPTH = 1_000_000, 32
+SCENARIO = {"no file": ("E780", "{name} is a folder, pipe or device, no scenario. Correct the path."),
+            "empty": ("E780", "{name} is empty (0 bytes); a scenario begins with xfemnav = 1."),
+            "large": ("E780", "{name} holds {size}; at most {limit} are read. Is it a scenario?"),
+            "unread": ("E780", "{name} cannot be read: {reason}. Copy it again.")}
 # Dotted keys deeper than that; the parser's time grows with the square of their length.
 LONG_KEY = re.compile(r"""(?<![\w.-])(?:(?:"[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){32}""")
 ESCAPE = re.compile(r"hex value|[Ee]scape")  # in the parser's words
 
 
 def read_toml(path: Path) -> dict:
-    """The raw scenario in a TOML file. Raises E100 (missing) and E780 (too large, too deep, no TOML)."""
-    if not os.path.isfile(path):
-        raise XfemnavError("E100", f"no scenario file at {path}. Correct the path.")
-    if path.stat().st_size > LIMIT_BYTES:
-        raise XfemnavError("E780", f"{path.name} holds {path.stat().st_size} bytes; at most {LIMIT_BYTES} are read.")
+    """The raw scenario in a TOML file. Raises E100 (missing) and E780 (no file, too large, too deep, no TOML)."""
     too_deep = XfemnavError("E780", f"{path.name} is nested deeper than {LIMIT_DEPTH} levels.")
     try:
-        text = re.sub(r"\r\n?", "\n", decoded(path.read_bytes()))
+        text = re.sub(r"\r\n?", "\n", decoded(file_bytes(path, LIMIT_BYTES, SCENARIO)))
     except ValueError as error:
         if path.name.lower().endswith(MASKS):
             raise XfemnavError("E780", f"{path.name} is an image, no scenario (a TOML file); an image is for `xfemnav "
@@ -46,7 +46,7 @@ def read_toml(path: Path) -> dict:
         if LONG_KEY.search(text):
             raise too_deep
         raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # of numbers with thousands of digits too
         mend = f" {BACKSLASH}" if ESCAPE.search(str(error)) else _quotes(text, str(error))
         raise XfemnavError("E780", f"{path.name} is no TOML: {error}.{mend}") from None
     except RecursionError:

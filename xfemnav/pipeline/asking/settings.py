@@ -55,6 +55,8 @@ class Setting(NamedTuple):
     stage: str = ""
 
 
+#: No number of a setting is larger, but for values of images: its squares and what it is multiplied with stay finite.
+LARGEST = 1e9
 POSITIVE, NOT_NEGATIVE = (("gt", 0),), (("ge", 0),)
 #: Kinds of images that are carried along, and of what else is.
 KINDS = ("continuous", "label", "vector", "axis", "tensor")
@@ -226,6 +228,13 @@ def kind(name: str) -> type:
     if setting.place and os.PathLike[str] in taken:
         return os.PathLike
     return taken[0] if len(taken) == 2 else str
+
+
+def bounds_of(name: str) -> dict[str, float]:
+    """The bounds of a number, as the schema calls them; a value of images may be as large as those go."""
+    ends = {"ge": -LARGEST, "le": LARGEST} if kind(name) in (int, float) and name not in ("nan", "fill") else {}
+    given = dict(TABLE[name].bounds)
+    return {end: value for end, value in (ends | given).items() if end != "ge" or "gt" not in given}
 
 
 #: Flags of files, which come after the scenario's own.

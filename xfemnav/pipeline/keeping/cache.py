@@ -71,7 +71,7 @@ class Cache:
             self.root.mkdir(parents=True, exist_ok=True)
             with self._open() as root:
                 refuse_foreign(self.root, root)
-            if not (self.root / TAG).exists():
+            if not os.path.exists(self.root / TAG):
                 write_atomic(self.root / TAG, TAGGED)
             for part in PARTS:
                 (self.root / part).mkdir(exist_ok=True)

@@ -98,7 +98,7 @@ def spare_the_run() -> None:
 def compiling(stage: str, tell: Callable[[], None]) -> Iterator[None]:
     """While a stage is computed, after `settle_kernel_cache`: `tell` if it was never computed by this code before."""
     done = Path(os.environ["NUMBA_CACHE_DIR"]) / f"{stage}.compiled"
-    new = stage in SLOW and not done.exists()
+    new = stage in SLOW and not os.path.exists(done)
     if new:
         tell()
     if stage in SLOW:
@@ -194,6 +194,6 @@ def _places() -> Iterator[Path]:
 
 def _writable(folder: Path) -> bool:
     """Whether `folder`, or the nearest folder above it that exists, can be written."""
-    while not folder.exists():
+    while not os.path.exists(folder):
         folder = folder.parent
     return os.access(folder, os.W_OK)

@@ -23,7 +23,7 @@ def locked(path: Path, *, shared: bool = False, waiting: Callable[[], None] = la
     where it cannot be made, or the disk has no locks.
     """
     with writing(path.parent, f"the lock {path.name}"):
-        handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        handle = os.open(path, os.O_RDONLY if os.path.isdir(path) else os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
         _take(handle, path, fcntl.LOCK_SH if shared else fcntl.LOCK_EX, waiting, limit_s)
         yield

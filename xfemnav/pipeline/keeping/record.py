@@ -4,6 +4,7 @@ Somebody may have edited the file, or half of it may be lost; the program that w
 """
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -68,6 +69,7 @@ class _Record(_Part):
     cuts: list[_Cut] | None = None
     steps: list[_Step] = []
     inputs: dict[str, _Input] = {}
+    digests: dict[str, Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]] = {}
     error: _Error | None = None
 
     @model_validator(mode="after")
@@ -82,15 +84,16 @@ class _Record(_Part):
 def read_record(folder: Path) -> dict:
     """The record of the run in `folder`. Raises E100 when there is none and E701 when it is no record of ours."""
     path = folder / RECORD
-    if not path.exists():
-        missing = f"no {RECORD} in" if folder.exists() else "no folder"
+    if not os.path.exists(path):
+        missing = f"no {RECORD} in" if os.path.isdir(folder) else "no folder"
         raise XfemnavError("E100", f"{missing} {folder}. Give the output folder of a run.")
     try:
         text = file_bytes(path, LIMIT_BYTES)
         record = json.loads(text)
         if not isinstance(record, dict) or record.get("schema") != SCHEMA:
             raise ValueError(f"its schema is not {SCHEMA}")
-        _Record.model_validate_json(text)
+        # Bytes of file names that are no UTF-8 are halves of characters there, which Python alone takes for a text.
+        _Record.model_validate_json(json.dumps(record, ensure_ascii=False).encode(errors="replace"))
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         place = ".".join(map(str, first["loc"])) or "it"

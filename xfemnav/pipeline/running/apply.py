@@ -126,7 +126,7 @@ def _image(result: Result, path: Path, target: Path, choices: Choices) -> str:
         image = result.warp(path, kind=choices.kind, interp=choices.interp, outside=choices.outside, fill=choices.fill,
                             axes=choices.axes, order=choices.order, nifti_frame=choices.nifti_frame)
     except XfemnavError as error:
-        if error.code != "E106" or path.is_dir():
+        if error.code != "E106" or os.path.isdir(path):
             raise
         raise XfemnavError("E106", _not_carried(path)) from None
     write_nifti(target, image)
@@ -186,9 +186,9 @@ def _own(result: Result) -> set[Path]:
 
 def _refuse(targets: list[Path], kept: set[Path], force: bool) -> None:
     """Raise E731 when a target is one of the files that are `kept`, or exists and `force` is not given."""
-    own = {path.resolve() for path in kept}
+    own = set(map(os.path.realpath, kept))
     for target in targets:
-        if target.resolve() in own:
+        if os.path.realpath(target) in own:
             raise XfemnavError("E731", f"the output would overwrite {target}, which is an input or was made just now. "
                                        "Give another folder with ⟦output⟧.")
         if os.path.lexists(target) and not force:

@@ -181,7 +181,7 @@ def _temporary() -> Finding:
 def _space(folder: Path, name: str) -> Finding:
     """Whether the disk of a folder, or of the nearest one above that exists, has room."""
     folder = folder.absolute()
-    while not folder.exists():
+    while not os.path.exists(folder):
         folder = folder.parent
     free = shutil.disk_usage(folder).free
     what = f"space for {name}: {free / 1e9:.1f} GB in {folder}"

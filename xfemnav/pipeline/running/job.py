@@ -142,6 +142,7 @@ def _run(chain: Chain, options: Options, folder: OutputFolder, record: dict) -> 
     checkpoint()
     texts = {"scenario": scenario_text(chain.config.settings, chain.config.named, folder.path)}
     record["outputs"] = folder.publish(files, texts, record, _sidecars(chain))
+    record["digests"] = {role: sha256 for role, (_, sha256) in files.items()}
     folder.write_record(record)
     return record
 

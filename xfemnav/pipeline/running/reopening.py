@@ -1,15 +1,19 @@
 """A finished run, opened again: whether it is whole, and its inputs, wherever they are now."""
 
+import hashlib
 import os
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from xfemnav.errors import XfemnavError
+from xfemnav.imaging.reading.content import file_bytes
 from xfemnav.pipeline.asking.scenario import Scenario
 from xfemnav.pipeline.asking.whereabouts import Known, find, inputs_of
 from xfemnav.pipeline.keeping.names import RECORD
 from xfemnav.pipeline.keeping.record import read_record
+
+LARGEST_BYTES = 1 << 34  # of an output
 
 
 def preoperative_slice(record: dict, folder: Path, given: Path | None = None):
@@ -32,6 +36,17 @@ def preoperative_slice(record: dict, folder: Path, given: Path | None = None):
     return take_slice(image, plane=asked.slice.plane, index=asked.slice.index, position_mm=asked.slice.position_mm)
 
 
+def refuse_changed(role: str, path: Path, record: dict) -> None:
+    """Raise E703 where an output of a run is not what that has written; E100 and E106 where it is no file.
+
+    Records of before have no digests of outputs: theirs are believed.
+    """
+    known = record.get("digests", {}).get(role)
+    if known and hashlib.sha256(file_bytes(path, LARGEST_BYTES)).hexdigest() != known:
+        raise XfemnavError("E703", f"outputs.{role}: {path} is not what the run has written, or {RECORD} is of another "
+                                   "run. Put the file of then back, or run again.")
+
+
 def run_problems(folder: Path) -> list[XfemnavError]:
     """What has become of the run in `folder` since: outputs that are gone, inputs that are gone or have changed."""
     try:
@@ -39,8 +54,14 @@ def run_problems(folder: Path) -> list[XfemnavError]:
         limit = _settings(record, folder).max_memory_gb
     except XfemnavError as error:
         return [error]
-    gone = {role: folder / name for role, name in record["outputs"].items() if not os.path.isfile(folder / name)}
-    found = [XfemnavError("E100", f"outputs.{role}: no file at {path}. Run it again.") for role, path in gone.items()]
+    found = []
+    for role, name in record["outputs"].items():
+        try:
+            if not os.path.isfile(folder / name):
+                raise XfemnavError("E100", f"outputs.{role}: no file at {folder / name}. Run it again.")
+            refuse_changed(role, folder / name, record)
+        except XfemnavError as error:
+            found.append(error)
     for place, known in inputs_of(record).items():
         try:
             _check_input(place, known, folder, limit, record)

@@ -1,5 +1,6 @@
 """The Python face: run, then ask where tissue is and where it was."""
 
+import os
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack, overload
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.naming import ARGUMENTS
+from xfemnav.pipeline.asking.arguments import path_of
 from xfemnav.pipeline.asking.config import configure
 from xfemnav.pipeline.asking.flags import keys
 from xfemnav.pipeline.asking.settings import STAGES, AnyPath, Flags
@@ -17,7 +19,7 @@ from xfemnav.pipeline.keeping.disk import write_atomic
 from xfemnav.pipeline.keeping.kernels import settle_kernel_cache, spare_the_run
 from xfemnav.pipeline.keeping.record import read_record
 from xfemnav.pipeline.running import job
-from xfemnav.pipeline.running.reopening import preoperative_slice
+from xfemnav.pipeline.running.reopening import preoperative_slice, refuse_changed
 
 if TYPE_CHECKING:
     from xfemnav.geometry.mesh import Mesh
@@ -35,11 +37,12 @@ Side = Literal["left", "right"] | ArrayLike | None
 
 def side_number(side: Side) -> ArrayLike | None:
     """+1 for "left" and -1 for "right"; numbers, one for all or one a point, and None stay. Raises E780."""
-    if not isinstance(side, str):
-        return side
-    if side not in SIDES:
+    if isinstance(side, str) and side in SIDES:
+        return SIDES[side]
+    found = None if side is None else np.asarray(side)
+    if found is not None and (found.dtype.kind not in "iuf" or found.ndim > 1):
         raise XfemnavError("E780", f"side is {side!r}; it is 'left' or 'right'.")
-    return SIDES[side]
+    return found
 
 
 @takes_flags
@@ -72,8 +75,8 @@ def run(image: AnyPath | None = None, *, scenario: AnyPath | None = None, output
     """
     config = configure(image, scenario, dict(flags), own=own_names(run))
     options = job.Options(
-        output=Path(output) if output is not None else job.default_output(config.image),
-        cache=Path(cache) if cache is not None else job.default_cache(),
+        output=path_of(output, "output") if output is not None else job.default_output(config.image),
+        cache=path_of(cache, "cache") if cache is not None else job.default_cache(),
         force_from=STAGES[0] if force else None, report=report, argv=("xfemnav.run",),
         names=ARGUMENTS if scenario is None else keys(ARGUMENTS),
     )
@@ -103,9 +106,15 @@ class Result:
         """The result in an output folder, after a step of the run.
 
         It needs nothing but that folder, wherever it is now; only `preoperative` reads the run's image again, which is
-        at `image` where it has been moved. Raises E100, E701, and E780 for an unknown step.
+        at `image` where it has been moved. Raises E100, E701, E703 where what it is made of is not what the run has
+        written, and E780 for an unknown step.
         """
-        return cls(Path(folder), read_record(Path(folder)), step, image)
+        folder = path_of(folder, "folder")
+        found = cls(folder, read_record(folder), step, None if image is None else path_of(image, "image"))
+        for role in ("mask", "mesh", found._solution):  # those that are gone are told of when they are needed
+            if role in found.record["outputs"] and os.path.exists(folder / found.record["outputs"][role]):
+                found._path(role)
+        return found
 
     def __repr__(self) -> str:
         from xfemnav.pipeline.telling.card import verdict
@@ -216,7 +225,7 @@ class Result:
         from xfemnav.imaging.carrying.streamlines import move_streamlines
         from xfemnav.imaging.points.tract_files import read_streamlines
 
-        return move_streamlines(read_streamlines(path), self.frame, self.motion, self.organ.corners)
+        return move_streamlines(read_streamlines(path_of(path, "path")), self.frame, self.motion, self.organ.corners)
 
     def surface(self, path: AnyPath, *, space: str | None = None) -> "MovedSurface":
         """The surface in a .stl, .vtk, .vtp, .gii, .obj or .ply file after the motion: MovedSurface of
@@ -227,7 +236,7 @@ class Result:
         from xfemnav.imaging.carrying.surfaces import move_surface
         from xfemnav.imaging.points.surface_files import read_surface
 
-        read = read_surface(path, space=space or self.record["parameters"]["space"])
+        read = read_surface(path_of(path, "path"), space=space or self.record["parameters"]["space"])
         return move_surface(read, self.frame, self.motion, self.organ.corners)
 
     @overload
@@ -255,8 +264,9 @@ class Result:
         from xfemnav.imaging.carrying.companions import carry
         from xfemnav.imaging.carrying.kinds import kind_of, read_companion
 
-        if not isinstance(image, str | Path):
+        if not isinstance(image, str | os.PathLike):
             return self._updated(image, interp, outside, fill).updated
+        image = path_of(image, "image")
         wanted = nifti_frame or self.nifti_frame
         companion = read_companion(image, kind, nifti_frame=wanted)
         self._warn_of_frames(companion, wanted)
@@ -285,6 +295,7 @@ class Result:
         """
         from xfemnav.imaging.carrying.transform import backward, forward, roomy
 
+        path = path_of(path, "path")
         suffix = next((end for end in TRANSFORMS if str(path).lower().endswith(end)), None)
         if suffix is None:
             raise XfemnavError("E780", f"{path} has no suffix of a transform; give one of {', '.join(TRANSFORMS)}.")
@@ -296,9 +307,9 @@ class Result:
             frame = roomy(self.frame, organ)
             field = forward(frame, self.motion)
         else:
-            raise ValueError(f"direction is {direction!r}, wanted backward or forward")
+            raise XfemnavError("E780", f"direction is {direction!r}; it is 'backward' or 'forward'.")
         meaning = {"backward": "resampling", "forward": "modeling"}[direction]
-        write_atomic(Path(path), TRANSFORMS[suffix](frame, field, meaning))
+        write_atomic(path, TRANSFORMS[suffix](frame, field, meaning))
 
     def _updated(self, values, interp: str = "nearest", outside: str = "keep", fill: float | None = None):
         from xfemnav.imaging.carrying.background import asked_blank
@@ -318,17 +329,16 @@ class Result:
         return pull_back(self.motion.rest, self.motion.moved, frame.origin, frame.spacing, frame.values.shape)
 
     def _mapped(self, points, move) -> np.ndarray:
-        points = np.asarray(points, float)
-        rows = np.atleast_2d(points)
-        if rows.shape[1] == 2:
-            return move(rows).reshape(points.shape)
-        plane, distance = self.frame.from_world(rows)
-        return (self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]).reshape(points.shape)
+        from xfemnav.imaging.frames.slices import mapped
+
+        return mapped(self.frame, points, move)
 
     def _path(self, role: str) -> Path:
         if role not in self.record["outputs"]:
             raise XfemnavError("E701", f"the record of the run in {self.folder} names no {role}. Run it again.")
-        return self.folder / self.record["outputs"][role]
+        path = self.folder / self.record["outputs"][role]
+        refuse_changed(role, path, self.record)
+        return path
 
 
 def _step_of(record: dict, step: str | None) -> tuple[str, list]:

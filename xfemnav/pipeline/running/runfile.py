@@ -126,9 +126,9 @@ class OutputFolder:
         fixed = {role for role in (*NAMES, *PAGES) if role.partition("-")[0] not in CARRIED}
         new = {public_name(self.image, role, ending) for role, ending in ({role: "" for role in fixed} | roles).items()}
         new |= {sidecar_name(name) for name in new if name.endswith(WITH_SIDECAR)}
-        targets = {(self.path / name).resolve() for name in self.earlier | new | {RECORD}}
+        targets = {os.path.realpath(self.path / name) for name in self.earlier | new | {RECORD}}
         for path in inputs:
-            if path.resolve() in targets:
+            if os.path.realpath(path) in targets:
                 raise XfemnavError("E731", f"the output would overwrite the input {path}. Give another folder with "
                                            "⟦output⟧.")
         foreign = {name for name in new - self.earlier if os.path.lexists(self.path / name)}
@@ -142,7 +142,7 @@ class OutputFolder:
     def _holds(self, name: str, sha256: str) -> bool:
         """Whether the file is there already with this content."""
         target = self.path / name
-        return target.is_file() and not target.is_symlink() and file_digest(target) == sha256
+        return os.path.isfile(target) and not os.path.islink(target) and file_digest(target) == sha256
 
 
 def _claimed(record: dict) -> set[str]:
@@ -157,7 +157,7 @@ def _claimed(record: dict) -> set[str]:
 @contextmanager
 def output_folder(path: Path, image: Path, waiting: Callable[[], None]) -> Iterator[OutputFolder]:
     """Make and hold the output folder; `waiting` is called when another run holds it. Raises E501 to E503."""
-    if path.is_file():
+    if os.path.isfile(path):
         raise XfemnavError("E502", f"the output {path} is a file, and the outputs are several. Give a folder with "
                                    "⟦output⟧.")
     with writing(path.parent, f"the output folder {path.name}"):

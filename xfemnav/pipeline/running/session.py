@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from xfemnav.errors import XfemnavError, warn
+from xfemnav.pipeline.asking.arguments import plain, real
 from xfemnav.pipeline.asking.config import configure
 from xfemnav.pipeline.asking.flags import numbers
 from xfemnav.pipeline.asking.settings import AnyPath, Drawn, Flags
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from xfemnav.mechanics.solving.solution import RetractorForce
 
 NAME = "cut"
-INTERP, OUTSIDE = ("linear", "cubic", "nearest"), ("keep", "zero")
 #: What a session cannot do, by the name of the setting, and the value that it must have.
 ONLY = {"resections": (), "skull.gap_mm": 0.0, "skull.arcs": (), "skull.measured": None, "loads.gravity": None,
         "loads.pressures": (), "rules.model": "linear", "rules.loose": "refuse"}
@@ -84,7 +84,7 @@ class Session:
 
         if corridor is not None and "cut" in flags:
             raise XfemnavError("E780", "corridor and cut both say where cuts are planned: give the corridor alone.")
-        if not (isinstance(reach_mm, int | float) and 0 < reach_mm < np.inf):
+        if not (real(reach_mm) or 0) > 0:
             raise XfemnavError("E780", f"reach_mm is {reach_mm!r}, wanted a positive number, mm.")
         given = dict(flags) if corridor is None else dict(flags) | {"cut": corridor}
         organ = image if isinstance(image, Mesh) else None
@@ -171,20 +171,12 @@ class Session:
         if self.frame is None:
             raise XfemnavError("E780", "image: this session was made of a mesh; make it of an image to warp one.")
         values = self.frame.values if values is None else np.asarray(values)
-        if values.dtype.kind not in "buif":
-            raise XfemnavError("E130", f"the companion has values of type {values.dtype}; give real numbers.")
-        if values.shape != self.frame.values.shape:
-            raise XfemnavError("E130", f"the companion has {values.shape} pixels and the slice "
-                                       f"{self.frame.values.shape}; give it on the slice's grid, along e1 and e2.")
         grid = self.frame.origin, self.frame.spacing, self.frame.values.shape
         live = self._now.live
         if self._now.pulled is None:
             self._now = replace(self._now, pulled=pull_back(live.soup.rest, live.motion.moved, *grid))
         own = self._warp
         how = [own.interp if interp is None else interp, own.outside if outside is None else outside]
-        if how[0] not in INTERP or how[1] not in OUTSIDE:
-            raise XfemnavError("E780", f"interp {how[0]!r}, outside {how[1]!r}: wanted one of {', '.join(INTERP)}, and "
-                                       f"one of {', '.join(OUTSIDE)}.")
         blank = asked_blank(values, self._at_rest, *how, own.fill if fill is None else fill)
         return update(values, self._at_rest, self._now.pulled, *how, blank).updated
 
@@ -241,15 +233,13 @@ class Session:
 
     def _rows(self, points) -> np.ndarray:
         """Points as rows of numbers, plane (n, 2) or world (n, 3) mm."""
+        from xfemnav.imaging.frames.slices import rows_of
+
         if isinstance(points, str):
             points = [numbers(word) for word in points.replace(";", " ").split()]
-        try:
-            rows = np.array(points, float, ndmin=2)
-        except (TypeError, ValueError):
-            rows = np.empty((0, 0))
-        if rows.ndim != 2 or rows.shape[1] not in ((2,) if self.frame is None else (2, 3)):
-            more = "" if self.frame is None else ", or (n, 3) world RAS mm"
-            raise XfemnavError("E780", f"points are numbers, (n, 2) plane mm{more}.")
+        rows = rows_of(points)
+        if self.frame is None and rows.shape[1] != 2:
+            raise XfemnavError("E780", "points are numbers, (n, 2) plane mm: the session was made of a mesh.")
         return rows
 
     def _plane(self, points) -> np.ndarray:
@@ -262,11 +252,10 @@ class Session:
         return plane_points(self.frame, rows)
 
     def _mapped(self, points, move) -> np.ndarray:
-        rows, shape = self._rows(None if isinstance(points, str) else points), np.shape(points)
-        if rows.shape[1] == 2:
-            return move(rows).reshape(shape)
-        plane, distance = self.frame.from_world(rows)
-        return (self.frame.to_world(move(plane)) + distance[:, None] * self.frame.axes[2]).reshape(shape)
+        from xfemnav.imaging.frames.slices import mapped
+
+        self._rows(None if isinstance(points, str) else points)
+        return mapped(self.frame, points, move)
 
     def _refuse_uncut(self) -> None:
         if self._now.drawn is None:
@@ -275,13 +264,11 @@ class Session:
 
 def _move(move) -> np.ndarray:
     """What a lip does: (1,) mm away from the other lip, or (2,) plane mm."""
-    try:
-        found = np.atleast_1d(np.asarray(numbers(move) if isinstance(move, str) else move, float))
-    except (TypeError, ValueError):
-        found = np.empty(0)
-    if found.shape not in ((1,), (2,)) or not np.isfinite(found).all():
+    numeric = plain(numbers(move) if isinstance(move, str) else move)
+    found = numeric if isinstance(numeric, list) else [numeric]
+    if len(found) not in (1, 2) or None in map(real, found):
         raise XfemnavError("E780", "a lip moves by one finite number, or by two: left=3.0 or left=(3.5, 1.0).")
-    return found
+    return np.array(found, float)
 
 
 def _refuse(config) -> None:

@@ -8,7 +8,6 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from xfemnav.errors import XfemnavError
 from xfemnav.interruption import checkpoint
 from xfemnav.pipeline.asking.config import Config
 from xfemnav.pipeline.asking.settings import STAGES as ORDER
@@ -191,8 +190,6 @@ class Chain:
         """Digest of an input file, and what reading it warned of."""
         if role == "mesh_file":
             return self._mesh_facts(path)
-        if kind(role) == "points" and not os.path.isfile(path):
-            raise XfemnavError("E100", f"no file at {path}. Correct the path.")
         if kind(role) in ("points", *FROM_BYTES):
             raw = self.inputs.digests[role] = self._raw(role)
             return {"digest": raw, "sha256": raw}, ()
