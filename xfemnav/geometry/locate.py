@@ -1,61 +1,69 @@
-"""Which triangle is a point in: triangles sorted into square buckets, with a choice of side on a cut."""
+"""Which simplex is a point in: simplices sorted into square buckets, with a choice of side on a cut."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-# Points this near to a triangle (mm) touch it: rounding at shared edges must not open the tissue.
+from xfemnav.geometry.nearest import cross, dot, minus, nearest_of, nearest_on, triple
+
+# Points this near to a simplex (mm) touch it: rounding at shared edges must not open the tissue.
 TOUCH = 1e-8
 # Points this near to a cut (mm) are on its lips when a side is asked for: more than cuts are snapped to the mesh.
 LIP = 1e-2
 
 
 class Buckets(NamedTuple):
-    """Square buckets of `width` mm from `corner` (2,) mm, `shape` (2,) of them, and the triangles near each one.
+    """Square buckets of `width` mm from `corner` (d,) mm, `shape` (d,) of them, and the simplices near each one.
 
-    Bucket (i, j) lists `triangle[start[k] : start[k + 1]]`, k = i * shape[1] + j.
+    Bucket k lists `simplex[start[k] : start[k + 1]]`; the last axis of `shape` counts fastest.
     """
 
     corner: np.ndarray
     width: float
     shape: np.ndarray
     start: np.ndarray
-    triangle: np.ndarray
+    simplex: np.ndarray
 
 
-def bucket(triangles) -> Buckets:
-    """Sort triangles (t, 3, 2) mm into about as many buckets; a triangle is in all that its box, LIP wider, meets."""
-    low, high = triangles.min(axis=1) - LIP, triangles.max(axis=1) + LIP
+def bucket(simplices) -> Buckets:
+    """Sort simplices (t, k, d) mm into about as many buckets; one is in all that its box, LIP wider, meets."""
+    low, high = simplices.min(axis=1) - LIP, simplices.max(axis=1) + LIP
     corner, size = low.min(axis=0), high.max(axis=0) - low.min(axis=0)
-    width = float(np.sqrt(size.prod() / len(triangles)))
+    width = float((size.prod() / len(simplices)) ** (1 / len(size)))
     first, last = ((x - corner) // width for x in (low, high))
     first, last = first.astype(np.int64), last.astype(np.int64)
     shape = last.max(axis=0) + 1
-    return Buckets(corner, width, shape, *_fill(first, last, shape))
+    flat = np.zeros((len(first), 3 - len(size)), np.int64)  # the plane is one layer of space
+    layers = np.concatenate([np.ones(3 - len(size), np.int64), shape])
+    return Buckets(corner, width, shape, *_fill(np.hstack([flat, first]), np.hstack([flat, last]), layers))
 
 
-def held(points, triangles) -> np.ndarray:
-    """Whether points (n, 2) mm lie in triangles (t, 3, 2) mm, (n,) bool."""
-    return locate(np.array(points, float, ndmin=2), triangles, bucket(triangles)) >= 0
+def held(points, simplices) -> np.ndarray:
+    """Whether points (n, d) mm lie in simplices (t, d + 1, d) mm, (n,) bool."""
+    return locate(np.array(points, float, ndmin=2), simplices, bucket(simplices)) >= 0
 
 
 @njit(cache=True)
 def _fill(first, last, shape):
-    start = np.zeros(shape[0] * shape[1] + 1, np.int64)
+    """`start` and `simplex` of Buckets, from the first and last buckets (t, 3) of each one's box."""
+    start = np.zeros(shape[0] * shape[1] * shape[2] + 1, np.int64)
     for c in range(len(first)):
         for i in range(first[c, 0], last[c, 0] + 1):
             for j in range(first[c, 1], last[c, 1] + 1):
-                start[i * shape[1] + j + 1] += 1
+                row = (i * shape[1] + j) * shape[2] + 1
+                for k in range(row + first[c, 2], row + last[c, 2] + 1):
+                    start[k] += 1
     start = np.cumsum(start)
-    free, triangle = start[:-1].copy(), np.empty(start[-1], np.int64)
+    free, simplex = start[:-1].copy(), np.empty(start[-1], np.int64)
     for c in range(len(first)):
         for i in range(first[c, 0], last[c, 0] + 1):
             for j in range(first[c, 1], last[c, 1] + 1):
-                k = i * shape[1] + j
-                triangle[free[k]] = c
-                free[k] += 1
-    return start, triangle
+                row = (i * shape[1] + j) * shape[2]
+                for k in range(row + first[c, 2], row + last[c, 2] + 1):
+                    simplex[free[k]] = c
+                    free[k] += 1
+    return start, simplex
 
 
 @njit(cache=True)
@@ -86,23 +94,58 @@ def _fit(x, y, corners):
 
 
 @njit(cache=True)
-def _bucket_of(x, y, buckets):
-    i, j = np.floor((x - buckets.corner[0]) / buckets.width), np.floor((y - buckets.corner[1]) / buckets.width)
-    if 0 <= i < buckets.shape[0] and 0 <= j < buckets.shape[1]:
-        return int(i) * buckets.shape[1] + int(j)
-    return -1
+def _fit_solid(point, corners):
+    """`_fit` of a point (3,) to a tetrahedron (4, 3)."""
+    p, a, b, c, d = triple(point), triple(corners[0]), triple(corners[1]), triple(corners[2]), triple(corners[3])
+    lowest, largest = np.inf, 0.0
+    six = dot(cross(minus(b, a), minus(c, a)), minus(d, a))
+    if six == 0:
+        return -np.inf
+    for top, u, v, w in ((a, b, c, d), (b, a, c, d), (c, a, b, d), (d, a, b, c)):
+        normal = cross(minus(v, u), minus(w, u))
+        area = dot(normal, normal) ** 0.5
+        largest = max(largest, area)
+        above = dot(normal, minus(p, u)) / area
+        lowest = min(lowest, above if dot(normal, minus(top, u)) > 0 else -above)
+    distance = 0.0
+    if lowest < 0:
+        if lowest < -LIP:
+            return lowest    # farther than from the plane of a face: too far for anything
+        distance = np.inf
+        for u, v, w in ((b, c, d), (a, c, d), (a, b, d), (a, b, c)):
+            off = minus(p, nearest_on(p, u, v, w))
+            distance = min(distance, dot(off, off) ** 0.5)
+    if distance <= TOUCH:
+        return six / largest if six > 0 else 0.0
+    return -distance
 
 
 @njit(cache=True)
-def locate(points, triangles, buckets):
-    """Index (n,) of the triangle that each point is in, -1 for none."""
+def _fits(point, simplex):
+    """`_fit` in the plane or in space."""
+    return _fit(point[0], point[1], simplex) if len(point) == 2 else _fit_solid(point, simplex)
+
+
+@njit(cache=True)
+def _listed(point, buckets):
+    """The simplices near a point (d,)."""
+    k = 0
+    for a in range(len(point)):
+        i = np.floor((point[a] - buckets.corner[a]) / buckets.width)
+        if not 0 <= i < buckets.shape[a]:
+            return buckets.simplex[:0]
+        k = k * buckets.shape[a] + int(i)
+    return buckets.simplex[buckets.start[k]:buckets.start[k + 1]]
+
+
+@njit(cache=True)
+def locate(points, simplices, buckets):
+    """Index (n,) of the simplex that each point is in, -1 for none."""
     found = np.full(len(points), -1)
     for n in range(len(points)):
-        x, y = points[n]
-        k = _bucket_of(x, y, buckets)
         best = -TOUCH
-        for c in buckets.triangle[buckets.start[k]:buckets.start[k + 1]] if k >= 0 else buckets.triangle[:0]:
-            fit = _fit(x, y, triangles[c])
+        for c in _listed(points[n], buckets):
+            fit = _fits(points[n], simplices[c])
             if fit > best:
                 best, found[n] = fit, c
     return found
@@ -116,22 +159,39 @@ def _turn(a, b):
 
 @njit(cache=True)
 def locate_beside(points, corner, left, triangles, buckets):
-    """Like `locate` for points on a cut: only triangles on its left, or right, up to LIP away.
+    """Like `locate` for points on a path: only triangles on its left, or right, up to LIP away.
 
-    `corner` (n, 3, 2) is the cut's apex near the point and its directions ahead and back: the left is the sector from
+    `corner` (n, 3, 2) is the path's apex near the point and its directions ahead and back: the left is the sector from
     ahead counter-clockwise to back, which at a kink is no half plane.
     """
     found = np.full(len(points), -1)
     for n in range(len(points)):
-        x, y = points[n]
-        k = _bucket_of(x, y, buckets)
         best = -LIP
         apex, ahead, back = corner[n]
         sector = _turn(ahead, back)
-        for c in buckets.triangle[buckets.start[k]:buckets.start[k + 1]] if k >= 0 else buckets.triangle[:0]:
+        for c in _listed(points[n], buckets):
             middle = (triangles[c, 0] + triangles[c, 1] + triangles[c, 2]) / 3
             if (_turn(ahead, middle - apex) < sector) == left[n]:
-                fit = _fit(x, y, triangles[c])
+                fit = _fit(points[n, 0], points[n, 1], triangles[c])
+                if fit > best:
+                    best, found[n] = fit, c
+    return found
+
+
+@njit(cache=True)
+def locate_beside_sheet(points, left, tetrahedra, buckets, sheet, sheet_buckets):
+    """Like `locate` for points on a `sheet` (f, 3, 3): only tetrahedra on its left, or right, up to LIP away.
+
+    The left is where the triangles' normals point; near a point only those triangles tell that are near it.
+    """
+    found = np.full(len(points), -1)
+    for n in range(len(points)):
+        best, near = -LIP, _listed(points[n], sheet_buckets)
+        for c in _listed(points[n], buckets):
+            x = tetrahedra[c]
+            middle = triple((x[0] + x[1] + x[2] + x[3]) / 4)
+            if (nearest_of(middle, sheet, near)[3] > 0) == left[n]:
+                fit = _fit_solid(points[n], x)
                 if fit > best:
                     best, found[n] = fit, c
     return found

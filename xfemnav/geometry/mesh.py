@@ -145,10 +145,14 @@ class Mesh:
 
 def volumes(corners: np.ndarray) -> np.ndarray:
     """Signed volumes (...) mm^d of simplices with `corners` (..., d + 1, d)."""
-    edges = corners[..., 1:, :] - corners[..., :1, :]
-    if edges.shape[-1] == 2:
-        return (edges[..., 0, 0] * edges[..., 1, 1] - edges[..., 0, 1] * edges[..., 1, 0]) / 2
-    return np.einsum("...i,...i->...", edges[..., 0, :], np.cross(edges[..., 1, :], edges[..., 2, :])) / 6
+    return determinants(corners[..., 1:, :] - corners[..., :1, :]) / factorial(corners.shape[-1])
+
+
+def determinants(rows: np.ndarray) -> np.ndarray:
+    """Determinants (...) of `rows` (..., d, d)."""
+    if rows.shape[-1] == 2:
+        return rows[..., 0, 0] * rows[..., 1, 1] - rows[..., 0, 1] * rows[..., 1, 0]
+    return np.einsum("...i,...i->...", rows[..., 0, :], np.cross(rows[..., 1, :], rows[..., 2, :]))
 
 
 def area_vectors(facets: np.ndarray) -> np.ndarray:

@@ -1,23 +1,28 @@
-"""Values of a volume at places of a plane: trilinear, nearest, or the interpolating cubic B-spline."""
+"""Values of a volume at places of a plane or of space: trilinear, nearest, or the interpolating cubic B-spline.
+
+The kernels know the dimension of the places as the length of a tuple, `axes`, which is a constant when compiled.
+"""
 
 import numpy as np
 from numba import njit
 
-from xfemnav.imaging.carrying.warp import SAME
+from xfemnav.imaging.carrying.lattice import SAME
 
 SPLINE_REACH = 16  # voxels beyond which a voxel no longer tells in a cubic spline: it falls by .27 a voxel, to 1e-9
 
 
-def sample_volume(values, matrix, shift, places, wanted, interp: str) -> tuple[np.ndarray, np.ndarray]:
-    """`values` (ni, nj, nk, nc) at the `wanted` (n,) of the `places` (n, 2) mm, and which of them have a voxel.
+def sample_volume(values, matrix, shift, places, wanted, interp: str,
+                  reach: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """`values` (ni, nj, nk, nc) at the `wanted` (n,) of the `places` (n, d) mm, and which of them have a voxel.
 
-    A place is at voxel `matrix` (3, 2) place + `shift` (3,). A voxel reaches half its size; along an axis of one voxel
-    there is no end, for a single slice is taken in its plane. Returns (n, nc), 0 where there is none, and (n,) bool.
+    A place is at voxel `matrix` (3, d) place + `shift` (3,). Outermost voxels go on for `reach`, by default half their
+    size; along an axis of one voxel there is no end, for a single slice is taken in its plane. Returns (n, nc), 0 where
+    there is none, and (n,) bool.
     """
     places, shape = np.ascontiguousarray(places, float), np.array(values.shape[:3])
-    reach = np.where(shape == 1, np.inf, 0.5)
+    reach = np.where(shape == 1, np.inf, reach)
     out, seen = np.zeros((len(places), values.shape[3])), np.ones(len(places), np.bool_)
-    where = shape - 1.0, wanted, matrix, shift, reach, places
+    where = shape - 1.0, wanted, matrix, shift, reach, places, tuple(range(places.shape[1]))
     if interp == "linear":
         _linear(out, seen, values, *where)
     elif interp == "nearest":
@@ -55,20 +60,29 @@ def _within(x, end, reach):
 
 
 @njit(cache=True)
-def _voxel(u, v, matrix, shift, ends, reach):
-    """Voxel coordinates of the place (u, v) mm; NaN in each one along which there is no voxel."""
-    x = _within(matrix[0, 0] * u + matrix[0, 1] * v + shift[0], ends[0], reach[0])
-    y = _within(matrix[1, 0] * u + matrix[1, 1] * v + shift[1], ends[1], reach[1])
-    z = _within(matrix[2, 0] * u + matrix[2, 1] * v + shift[2], ends[2], reach[2])
+def _along(a, place, matrix, shift, ends, reach, axes):
+    """Voxel coordinate of a `place` (d,) mm along array axis `a`; NaN where there is no voxel."""
+    x = matrix[a, 0] * place[0]
+    for i in range(1, len(axes)):
+        x += matrix[a, i] * place[i]
+    return _within(x + shift[a], ends[a], reach[a])
+
+
+@njit(cache=True)
+def _voxel(place, matrix, shift, ends, reach, axes):
+    """Voxel coordinates of a `place` (d,) mm; NaN in each one along which there is no voxel."""
+    x = _along(0, place, matrix, shift, ends, reach, axes)
+    y = _along(1, place, matrix, shift, ends, reach, axes)
+    z = _along(2, place, matrix, shift, ends, reach, axes)
     return x, y, z
 
 
 @njit(cache=True)
-def _nearest(out, seen, values, ends, wanted, matrix, shift, reach, places):
+def _nearest(out, seen, values, ends, wanted, matrix, shift, reach, places, axes):
     """As `_linear`, with the value of the nearest voxel."""
     for p in range(len(places)):
         if wanted[p]:
-            x, y, z = _voxel(places[p, 0], places[p, 1], matrix, shift, ends, reach)
+            x, y, z = _voxel(places[p], matrix, shift, ends, reach, axes)
             if x + y + z != x + y + z:
                 seen[p] = False
                 continue
@@ -78,10 +92,10 @@ def _nearest(out, seen, values, ends, wanted, matrix, shift, reach, places):
 
 
 @njit(cache=True)
-def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places):
-    """Write trilinear `values` (ni, nj, nk, nc) at the `wanted` (n,) of the `places` (n, 2) mm to `out` (n, nc).
+def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places, axes):
+    """Write trilinear `values` (ni, nj, nk, nc) at the `wanted` (n,) of the `places` (n, d) mm to `out` (n, nc).
 
-    A place is at voxel `matrix` (3, 2) place + `shift` (3,). The last voxels are `ends` (3,), and the outermost ones go
+    A place is at voxel `matrix` (3, d) place + `shift` (3,). The last voxels are `ends` (3,), and the outermost ones go
     on for `reach` (3,). Places that are not `seen` (n,) have no voxel and stay.
     """
     # Unsigned: an index that cannot be negative costs no look whether it counts from the end.
@@ -91,7 +105,7 @@ def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places):
     for p in range(len(places)):
         if not wanted[p]:
             continue
-        x, y, z = _voxel(places[p, 0], places[p, 1], matrix, shift, ends, reach)
+        x, y, z = _voxel(places[p], matrix, shift, ends, reach, axes)
         if x + y + z != x + y + z:
             seen[p] = False
             continue
@@ -114,14 +128,14 @@ def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places):
 
 
 @njit(cache=True)
-def _cubic(out, seen, spline, first, ends, wanted, matrix, shift, reach, places):
+def _cubic(out, seen, spline, first, ends, wanted, matrix, shift, reach, places, axes):
     """As `_linear`, with the cubic B-spline of coefficients `spline` (mi, mj, mk, nc) from voxel `first` (3,) on."""
     taps = [4 if end > 0 else 1 for end in ends]
     weight, start, at = np.ones((3, 4)), np.zeros(3, np.int64), np.zeros(3)
     for p in range(len(places)):
         if not wanted[p]:
             continue
-        at[0], at[1], at[2] = _voxel(places[p, 0], places[p, 1], matrix, shift, ends, reach)
+        at[0], at[1], at[2] = _voxel(places[p], matrix, shift, ends, reach, axes)
         if at.sum() != at.sum():
             seen[p] = False
             continue

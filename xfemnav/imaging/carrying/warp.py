@@ -11,11 +11,8 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-# A pixel centre this near to an edge (pixels) lies on it: in the tissue, but in no triangle more than once. It is far
-# above the rounding of corners that neighbours compute each for itself, and far below what an image can show.
-ON_EDGE = 1e-6
-# Places this near to a pixel centre (pixels) are the centre: tissue that did not move keeps its values to the last bit.
-SAME = 1e-9
+from xfemnav.imaging.carrying.lattice import ON_EDGE, SAME
+from xfemnav.imaging.carrying.solid import SolidPullBack, pull_back_in_space
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +70,22 @@ class PullBack:
         low, high = at.min(axis=0), at.max(axis=0)
         return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
 
+    def simplices_of(self, wanted, first: int = 0) -> np.ndarray:
+        """The triangle (n,) that each of the `wanted` pixels is in, -1 for none; `wanted` as in `places_of`."""
+        return self.triangle[first:first + len(wanted)][wanted]
+
+    def places_of(self, wanted, first: int = 0) -> np.ndarray:
+        """The `places` (n, 2) mm of the `wanted` pixels (m, n2) bool of the rows from `first` on."""
+        return self.places[first:first + len(wanted)][wanted]
+
+    def centres_of(self, pixels) -> np.ndarray:
+        """Centres (n, 2) mm of `pixels` (n, 2)."""
+        return self.origin + self.spacing * pixels
+
+    def sample_into(self, out, values, interp: str) -> None:
+        """Write an image's `values` (n1, n2) at the resting places of tissue to `out`, as `sample_into`."""
+        sample_into(out, values, self.origin, self.spacing, self.resting, interp)
+
     def _centres(self):
         first, second = (o + h * np.arange(n) for o, h, n in zip(self.origin, self.spacing, self.triangle.shape))
         return np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1)
@@ -101,13 +114,16 @@ class Update:
         return self.pull_back.field
 
 
-def pull_back(rest, moved, origin, spacing, shape) -> PullBack:
-    """Resting place of every pixel of a grid, from triangles at `rest` and `moved`, both (t, 3, 2) mm.
+def pull_back(rest, moved, origin, spacing, shape) -> PullBack | SolidPullBack:
+    """Resting place of every pixel of a grid, from simplices at `rest` and `moved`, both (t, d + 1, d) mm.
 
-    The grid has `shape` (n1, n2), and `origin` and `spacing` (2,) mm. A centre on an edge that triangles share belongs
-    to one of them, a centre on a lip to the tissue. Where tissue overlaps, the triangle that comes first gives the
-    resting place; one turned inside out gives it only where there is no other.
+    The grid has `shape` (d,), and `origin` (d,) mm; `spacing` is (2,) mm in the plane, in space the steps (3, 3) mm
+    from voxel to voxel as columns: the `lattice` of a Slice or Volume. A centre on an edge or face that simplices share
+    belongs to one of them, a centre on a lip to the tissue. Where tissue overlaps, the simplex that comes first gives
+    the resting place; one turned inside out gives it only where there is no other.
     """
+    if len(shape) == 3:
+        return pull_back_in_space(rest, moved, origin, spacing, shape)
     origin, spacing = np.asarray(origin, float), np.asarray(spacing, float)
     rest, moved = np.ascontiguousarray(rest, float), np.ascontiguousarray(moved, float)
     return PullBack(*_rasterise(rest, moved, origin, spacing, *shape), origin, spacing, rest, moved)
@@ -128,9 +144,10 @@ def _gradients(rest, moved):
     return F
 
 
-def covered(triangles, origin, spacing, shape) -> np.ndarray:
-    """Pixels (n1, n2) bool whose centre is in or on one of the `triangles` (t, 3, 2) mm; the grid as in `pull_back`."""
-    return pull_back(triangles, triangles, origin, spacing, shape).tissue
+def covered(simplices, origin, spacing, shape) -> np.ndarray:
+    """Pixels (n1, ...) bool with their centre in or on one of `simplices` (t, d + 1, d) mm; the grid as in `pull_back`.
+    """
+    return pull_back(simplices, simplices, origin, spacing, shape).tissue
 
 
 def enclosed(outline, origin, spacing, shape) -> np.ndarray:
@@ -158,7 +175,7 @@ def update(values, organ, pull_back: PullBack, interp: str = "linear", outside: 
     empty = organ & ~pull_back.tissue
     np.copyto(updated, dtype.type(fill), where=empty)
     cavity, vacated = (empty, np.zeros_like(empty)) if now is None else (empty & now, empty & ~now)
-    sample_into(updated, values, pull_back.origin, pull_back.spacing, pull_back.resting, interp)
+    pull_back.sample_into(updated, values, interp)
     return Update(updated, cavity, vacated, pull_back.overlap, float(fill), pull_back)
 
 

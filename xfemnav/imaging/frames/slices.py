@@ -15,9 +15,10 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
+from xfemnav.imaging.frames.grid import Grid
 from xfemnav.imaging.reading.gate import Image
 from xfemnav.imaging.reading.lean import nibabel
-from xfemnav.imaging.reading.nifti_frames import OTHER, Frames, from_voxel
+from xfemnav.imaging.reading.nifti_frames import OTHER, Frames, from_voxel, plain_header
 
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal
 SKEW = 1e-3  # cosine between e1 and e2 up to which an affine is rounded, not sheared: .05 mm in 100 mm
@@ -93,6 +94,17 @@ class Slice:
         if self.array_axes[0] > self.array_axes[1]:
             values = values.swapaxes(0, 1)
         return np.expand_dims(values, self.array_axes[2])
+
+    def header(self) -> nibabel.Nifti1Header:
+        """A NIfTI header with the frames of the input, or twice the one that it has, of the one slice."""
+        if self.frames is not None:
+            return self.frames.header(self.array_axes[2], self.index)
+        return plain_header(from_voxel(self.affine, self.array_axes[2], self.index), self.frame_code)
+
+    @property
+    def lattice(self) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+        """Where the pixels are: origin, spacing, and how many along e1 and e2."""
+        return self.origin, self.spacing, self.values.shape
 
 
 def touching(mask: np.ndarray, spacing) -> float:
@@ -240,30 +252,16 @@ def _steepest(slice: Slice, world) -> float:
     return float(np.degrees(np.arcsin(min(abs(directions[0] @ slice.axes[2]), 1))))
 
 
-def to_nifti(slice: Slice, values, dtype=np.float32) -> nibabel.Nifti1Image:
-    """`values` (n1, n2) as a 3-D image with one slice, on the input's grid and in its storage order.
+def to_nifti(frame: Grid, values, dtype=np.float32) -> nibabel.Nifti1Image:
+    """`values` (n1, ...) as a 3-D image, of one slice or many, on the input's grid and in its storage order.
 
     It has both frames of the input's header, so that it lies on the input whichever of them a program takes.
     """
-    data = slice.to_storage(np.asarray(values)).astype(dtype)
-    header = _header(slice)
+    data = frame.to_storage(np.asarray(values)).astype(dtype)
+    header = frame.header()
     header.set_data_dtype(dtype)
     header.set_xyzt_units("mm")
     return nibabel.Nifti1Image(data, header.get_best_affine(), header)
-
-
-def _header(slice: Slice) -> nibabel.Nifti1Header:
-    """A header with the frames of the input, or twice the one that it has, of the one slice."""
-    if slice.frames is not None:
-        return slice.frames.header(slice.array_axes[2], slice.index)
-    affine = from_voxel(slice.affine, slice.array_axes[2], slice.index)
-    header = nibabel.Nifti1Header()
-    code = slice.frame_code or 1  # a position that was not stated is now, or readers would centre the one slice anew
-    header.set_qform(affine, code)
-    header.set_sform(affine, code)
-    if not np.allclose(header.get_qform(), affine, atol=1e-3):
-        header.set_qform(affine, 0)  # tilted slices: a quaternion cannot hold the shear between them
-    return header
 
 
 def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.ndarray:

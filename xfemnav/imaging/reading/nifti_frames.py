@@ -87,6 +87,17 @@ def from_voxel(frame: np.ndarray, axis: int, index: int) -> np.ndarray:
     return frame
 
 
+def plain_header(affine, frame_code: int) -> nibabel.Nifti1Header:
+    """A NIfTI header with one `affine` (4, 4) as both of its frames."""
+    header = nibabel.Nifti1Header()
+    code = frame_code or 1  # a position that was not stated is now, or readers would centre the image anew
+    header.set_qform(affine, code)
+    header.set_sform(affine, code)
+    if not np.allclose(header.get_qform(), affine, atol=1e-3):
+        header.set_qform(affine, 0)  # tilted slices: a quaternion cannot hold the shear between them
+    return header
+
+
 def facts(frames: Frames | None, shape) -> dict:
     """What is kept of the frames of a file with `shape` (3,) voxels.
 
