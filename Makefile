@@ -34,7 +34,7 @@ steps: $(INSTALLED)  ## docs/use/steps.md: an operation in five steps on a real 
 
 # GNU make keeps its -j in MAKEFLAGS; the runs are shared out by the command itself, so that one failure stops no other.
 batch: $(INSTALLED)  ## make batch IN=folder OUT=folder -j N: every slice of IN that has a <stem>.toml beside it
-	$(BIN)/xfemnav batch "$(IN)" "$(OUT)" -j $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),1)
+	$(BIN)/xfemnav batch "$(or $(IN),$(error give IN=folder))" "$(or $(OUT),$(error give OUT=folder))" -j $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),1)
 
 # Two workers share the cores: the linear algebra's own threads would only be in each other's way.
 test: $(INSTALLED)  ## the tests that run in minutes

@@ -4,6 +4,7 @@ import atexit
 import errno
 import gc
 import io
+import logging
 import os
 import sys
 import traceback
@@ -73,6 +74,7 @@ def _outcome(argv: list[str]) -> int:
     if not traced and not sys.warnoptions:
         warnings.simplefilter("ignore")  # what a library doubts is said with a code, or means nothing here
         warnings.simplefilter("default", XfemnavWarning)
+        logging.disable()
     try:
         code = cli.main(argv, prog_name="xfemnav", standalone_mode=False) or 0
         checkpoint()

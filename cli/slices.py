@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,7 +82,9 @@ def read_manifest(path: Path, target: Path) -> list[Item]:
     try:
         header, *rows = [[cell.strip() for cell in row] for row in table if any(map(str.strip, row))]
     except (ValueError, csv.Error):
-        raise _unusable(path, "holds no rows under a header") from None
+        header, rows = [], []
+    if not rows:
+        raise _unusable(path, "holds no rows under a header")
     columns = [name.lstrip("-").replace("-", "_").lower() for name in header]
     _check_columns(path, columns)
     items = []
@@ -99,6 +102,7 @@ def read_manifest(path: Path, target: Path) -> list[Item]:
 
 def _item(path: Path, number: int, given: list[tuple[str, str]], target: Path) -> Item:
     from xfemnav.pipeline.keeping.names import stem
+    from xfemnav.pipeline.running.batch_table import NAME as TABLE_NAME
 
     own, words, home = {}, [], Path(os.path.abspath(path)).parent
     for column, cell in given:
@@ -112,8 +116,8 @@ def _item(path: Path, number: int, given: list[tuple[str, str]], target: Path) -
     if image is not None:
         words.insert(0, str(image))
     name = own.get("name") or (Path(own["scenario"]).stem if "scenario" in own else stem(image) if image else "")
-    if not name or name.startswith(".") or "/" in name or "\\" in name:
-        raise _unusable(path, f"line {number} has the name '{name}', which is no name of a folder")
+    if not name or name.startswith(".") or "/" in name or "\\" in name or name.lower() == TABLE_NAME:
+        raise _unusable(path, f"line {number} has the name '{name}', which is no name of a folder of a slice")
     return Item(name, image, tuple(words), home, target / name)
 
 
@@ -138,6 +142,8 @@ def _options() -> dict[str, click.Option]:
 def _check_columns(path: Path, columns: list[str]) -> None:
     known = {"name", "image", "scenario", *_options()}
     strange = [column for column in columns if column not in known]
+    if len(columns) == 1 and re.search(r"[,;\t]", columns[0]):
+        raise _unusable(path, "is one column: a .tsv has tabs between its cells, any other name commas")
     if strange:
         raise _unusable(path, f"has the column '{strange[0]}', which is no setting of xfemnav run, nor 'image', "
                               "'scenario' or 'name'")

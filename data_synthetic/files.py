@@ -43,11 +43,15 @@ def to_nifti(values, grid: Grid, *, oblique: float = 0.0, slope: float | None = 
     return image
 
 
+def world(points, oblique: float = 0.0) -> np.ndarray:
+    """World RAS mm (n, 3) of points (n, 2) mm in the plane."""
+    return np.column_stack([points, np.zeros(len(points))]) @ turned(oblique).T
+
+
 def markup(path, oblique: float = 0.0) -> dict:
     """3D Slicer curve of a cut `path` (n, 2) mm in the plane, in LPS."""
-    world = np.column_stack([path, np.zeros(len(path))]) @ turned(oblique).T * (-1, -1, 1)
     points = [{"id": str(k + 1), "label": f"cut-{k + 1}", "position": [round(float(x), 9) for x in p],
-               "positionStatus": "defined"} for k, p in enumerate(world)]
+               "positionStatus": "defined"} for k, p in enumerate(world(path, oblique) * (-1, -1, 1))]
     return {"@schema": SCHEMA, "markups": [{"type": "Curve", "coordinateSystem": "LPS", "coordinateUnits": "mm",
                                             "controlPoints": points}]}
 
@@ -100,8 +104,8 @@ def write(phantom: Phantom, folder, *, seed: int | None = None, order: str | Non
     rest = landmarks()
     tables = {
         "boundary": ("boundary.csv", "x,y,ux,uy,side", boundary_displacement(phantom)),
-        "points": ("landmarks.csv", "x,y", rest),
-        "truth_points": ("truth/landmarks.csv", "x,y", rest + phantom.displacement(rest)),
+        "points": ("landmarks.csv", "r,a,s", world(rest, oblique)),
+        "truth_points": ("truth/landmarks.csv", "r,a,s", world(rest + phantom.displacement(rest), oblique)),
     }
     for role, (name, header, rows) in tables.items():
         paths[role] = folder / name

@@ -211,3 +211,53 @@ def test_names_that_are_no_utf_8_can_be_opened_again(here, capfd, image):
 def test_no_text_is_no_path(here, capfd, words):
     code, _, err = xfemnav(capfd, *words)
     assert code == 2 and "an empty text is no path" in err
+
+
+# What messages say ----------------------------------------------------------------------------------------------------
+
+
+def test_scenarios_are_told_by_keys_and_flags_by_flags(here, capfd):
+    (here / "both.toml").write_text(SCENARIO.format("head.nii.gz") + "[tissue]\npoisson = 0.7\n[slice]\nindex = -1\n")
+    _, _, err = xfemnav(capfd, "run", "--scenario", "both.toml", "--young-kpa", "-1")
+    assert all(word in err for word in ("tissue.poisson: ", "slice.index: ", "--young-kpa: ")), err
+    told = [(("--opening-mm", "nan"), "--opening-mm: "), (("--spacing", "0,1"), "--spacing: "),
+            (("--resect", "1,2"), "--resect: "),
+            (("--lip-force", "links=1,1"), "--lip-force: "), (("--resect", "label=3"), "--resect: "),
+            (("--gravity", "0"), "--gravity: "), (("--companion", "foo=a.nii"), "one of continuous, label")]
+    for words, name in told:
+        code, _, err = xfemnav(capfd, "run", "head.nii.gz", "--cut", CUT, *words)
+        assert code == 78 and name in err, err
+
+
+def test_a_lip_moved_towards_the_other_is_mended_by_the_key_of_a_scenario(here, capfd):
+    (here / "in.toml").write_text(SCENARIO.format("head.nii.gz").replace("= 2\n", "= -2\n"))
+    _, _, err = xfemnav(capfd, "run", "--scenario", "in.toml", *QUICK, "-o", "in")
+    assert "W411" in err and "give retract.normal_mm = 2 (left)" in err
+
+
+@pytest.mark.parametrize("name, text, words", [
+    ("a.tsv", "image\tname\nhead.nii.gz\tbatch.tsv\n", "no name of a folder"),
+    ("a.tsv", "image,cut\nhead.nii.gz,1\n", "tabs between its cells"),
+    ("a.csv", "image,cut\n", "holds no rows under a header"), ("a.csv", "", "is empty")])
+def test_a_manifest_that_is_none_is_told(here, capfd, name, text, words):
+    (here / name).write_text(text)
+    assert words in xfemnav(capfd, "batch", name, "out")[2]
+
+
+def test_a_cut_that_is_said_to_be_internal_and_is_not_is_warned_of():
+    from xfemnav.geometry.plane.cut import place_cut
+
+    square = np.array([[0.0, 0], [50, 0], [50, 50], [0, 50]])
+    with pytest.warns(python.XfemnavWarning, match="W307"):
+        assert place_cut([[-5.0, 25], [25, 25]], square, internal=True).mouth
+
+
+def test_points_and_tracts_off_the_slice_are_warned_of(here):
+    from nibabel.streamlines import Tractogram, save
+
+    result = python.Result.load("done")
+    with pytest.warns(python.XfemnavWarning, match="W132 1 of 1 points lie off the slice"):
+        result.to_current([0.0, 0.0, 90.0])
+    save(Tractogram([np.array([[0.0, 0, 90], [5, 0, 95]])], affine_to_rasmm=np.eye(4)), "far.tck")
+    with pytest.warns(python.XfemnavWarning, match="W132 no streamline comes to the slice"):
+        result.streamlines("far.tck")

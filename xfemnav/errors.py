@@ -231,6 +231,7 @@ FAULTS: dict[str, Fault] = {
     "W306": Fault(0, "thin strip of tissue",
                   "A strip of tissue is under three elements wide, where linear triangles are too stiff.",
                   "Use a smaller ⟦corridor_element_mm⟧."),
+    "W307": Fault(0, "internal cut has a mouth", "A cut that is said to lie inside begins outside of the organ.", "Start it inside, or do not call it internal."),
     "W311": Fault(0, "small loose piece removed", "A piece smaller than an element was cut free and is not in the result.", "None needed."),
     "W312": Fault(0, "loose piece removed", "A piece that nothing holds was cut free, and removed as asked.", "Check that it was taken out."),
     "W313": Fault(0, "loose piece held at its mean", "A piece that nothing holds was cut free, and kept in its place in the mean as asked.",

@@ -77,7 +77,7 @@ def place_cut(
     ------
     XfemnavError
         E301 it does not enter; E302 it starts deep inside; E303 no length; E304 it crosses itself;
-        E305 it leaves and enters again, or runs along the outline. Warns W301 (prolonged) and W302 (repeated points).
+        E305 it leaves and enters again, or runs along the outline. Warns W301 (prolonged), W302 (repeats), W307.
     """
     path = _without_repeats(np.asarray(path, dtype=float), name)
     _refuse_crossing(path, name)
@@ -103,6 +103,9 @@ def place_cut(
         clipped = clipped[::-1]
     depth = organ.exterior.distance(shapely.Point(clipped[0]))
     if depth <= 1e-9:
+        if internal:
+            warn("W307", f"cut '{name}' is said to be internal, and begins outside of the organ: it was given a mouth "
+                         f"at {_mm(clipped[0])}. Start it inside, or leave ⟦internal⟧ out.")
         return Cut(clipped, name, mouth=True, craniotomy=craniotomy)
     ends_outside = organ.exterior.distance(shapely.Point(clipped[-1])) <= 1e-9
     if ends_outside and (internal or depth > PROLONG_MM):

@@ -13,7 +13,7 @@ from xfemnav.geometry.locate import LIP, TOUCH, held
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.frames.grid import Grid
-from xfemnav.imaging.frames.slices import Slice, rows_of
+from xfemnav.imaging.frames.slices import Slice, rows_of, warn_of_slice
 from xfemnav.imaging.points.point_set import PointSet, frame_suspicion
 
 TISSUE, ON_A_CUT, RESECTED, IN_THE_CUT, OUTSIDE = "tissue", "on a cut", "resected", "in the cut", "outside"
@@ -89,15 +89,6 @@ def warn_of_frame(points, name: str, frame: Slice, outline, mend: str) -> None:
     suspicion = frame_suspicion(points, lambda world: shapely.contains_xy(organ, frame.from_world(world)[0]))
     if suspicion:
         warn("W131", f"{name}: {suspicion} {mend}")
-
-
-def warn_of_slice(points, name: str, frame: Slice) -> None:
-    """W132 where `points` (n, 3) RAS mm of a file lie off the slice."""
-    distance = np.abs(frame.from_world(points)[1])
-    off = distance > frame.thickness / 2 * (1 + 1e-6)
-    if off.any():
-        warn("W132", f"{off.sum()} of {len(points)} points of {name} lie off the slice, up to {distance.max():.2f} mm "
-                     f"where half its thickness is {frame.thickness / 2:.2f} mm. They were moved as its tissue.")
 
 
 def _chosen(lips, side) -> np.ndarray:

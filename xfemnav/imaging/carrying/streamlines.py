@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from nibabel.streamlines.tractogram_file import TractogramFile
 
+from xfemnav.errors import warn
 from xfemnav.geometry.locate import LIP, held
 from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.frames.slices import Slice
@@ -54,6 +55,10 @@ def move_streamlines(file: TractogramFile, frame: Slice, motion: Motion, organ, 
     owner = np.repeat(np.arange(len(file.streamlines)), [len(points) for points in file.streamlines])
     line = _Line(file.streamlines.get_data().astype(float), owner, frame, half)
     s, crossings = _stops(line, motion)
+    if len(s) and not line.in_slab(s).any():
+        least = np.abs(frame.from_world(line.points)[1]).min()
+        warn("W132", f"no streamline comes to the slice, the nearest to {least:.2f} mm: none was moved. Check their "
+                     "frame.")
     state = _states(line, s, motion, organ)
     at_lip = _lips(line, s, crossings, state, motion)
     first, last, state = _pieces(line, s, state, at_lip, elsewhere)

@@ -22,9 +22,8 @@ from xfemnav.imaging.carrying.landmarks import (
     TISSUE,
     moved_points,
     warn_of_frame,
-    warn_of_slice,
 )
-from xfemnav.imaging.frames.slices import Slice
+from xfemnav.imaging.frames.slices import Slice, warn_of_slice
 from xfemnav.imaging.points.surface_files import Surface
 from xfemnav.interruption import checkpoint
 from xfemnav.limits import PARTED

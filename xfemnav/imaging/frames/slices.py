@@ -13,7 +13,7 @@ from itertools import permutations
 
 import numpy as np
 
-from xfemnav.errors import XfemnavError
+from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.imaging.frames.grid import Grid
 from xfemnav.imaging.reading.gate import Image
@@ -197,12 +197,23 @@ def rows_of(points) -> np.ndarray:
 
 
 def mapped(slice: Slice, points, move) -> np.ndarray:
-    """`points` as `move` maps plane points (n, 2), in their own form; world points keep their distance."""
+    """`points` as `move` maps plane points (n, 2), in their own form; world points keep their distance (W132)."""
     rows = rows_of(points)
     if rows.shape[1] == 2:
         return move(rows).reshape(np.shape(points))
     plane, distance = slice.from_world(rows)
+    warn_of_slice(rows, "", slice)
     return (slice.to_world(move(plane)) + distance[:, None] * slice.axes[2]).reshape(np.shape(points))
+
+
+def warn_of_slice(points, name: str, slice: Slice) -> None:
+    """W132 where `points` (n, 3) RAS mm of a file, or of none (""), lie off the slice."""
+    distance = np.abs(slice.from_world(points)[1])
+    off = distance > slice.thickness / 2 * (1 + 1e-6)
+    if off.any():
+        warn("W132", f"{off.sum()} of {len(off)} points{name and f' of {name}'} lie off the slice, up to "
+                     f"{distance.max():.2f} mm where half its thickness is {slice.thickness / 2:.2f} mm. They were "
+                     "moved as its tissue.")
 
 
 def plane_points(slice: Slice, points, space: str = "ras") -> np.ndarray:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from xfemnav.errors import XfemnavError
 from xfemnav.mechanics.rules import BLADE
-from xfemnav.naming import Names, literal
+from xfemnav.naming import NUMBER_OR_PLACE, Names, literal
 from xfemnav.naming import flag as option
 from xfemnav.pipeline.asking.arguments import path_of, plain, real, shown
 from xfemnav.pipeline.asking.settings import FLAGS, KEYS, KINDS, LARGEST, OF_COMPANIONS, TABLE
@@ -74,7 +74,8 @@ def _meant(name: str, own: tuple[str, ...]) -> str:
 def keys(edge: Names) -> Names:
     """How a run of a scenario calls settings: by their keys there, and what has none as the edge does."""
     def key(name: str, value: str = "") -> str:
-        place = FLAGS.get(name) or KEYS.get(name)
+        alone = name in ("left", "right") and NUMBER_OR_PLACE.fullmatch(value)
+        place = KEYS["opening_mm"] if alone else FLAGS.get(name) or KEYS.get(name)
         if place is None:
             return edge.setting(name, value)
         return f"{place} = {_of_toml(name, value)}" if value else place
@@ -86,7 +87,7 @@ def _of_toml(name: str, value: str) -> str:
     """The value of a flag as its key has it."""
     if name == "opening_mm":  # of both lips together
         return f"{float(value) / 2:g} (left and right)"
-    if name in ("left", "right"):
+    if name in ("left", "right"):  # one number counts along the normal
         return f"{literal(value, '[]')} ({name})"
     if name == "lip_force":
         side, _, force = value.partition("=")
@@ -186,6 +187,9 @@ def _add_files(raw: dict, given: dict, found: list[str], files: dict[str, Path])
     for value in _repeated(given.get("companion", [])):
         kind, separator, name = str(path_of(value, "companion")).partition("=")
         said, name = ({"kind": kind}, name) if separator and kind in KINDS else ({}, value)
+        if separator and kind.isidentifier() and not said and not os.path.lexists(value):
+            found.append(f"⟦!companion⟧: {shown(kind)} is no kind; wants [KIND=]FILE, its kind one of "
+                         f"{', '.join(KINDS)}")
         said |= {key: given[name] for name, key in OF_COMPANIONS.items() if name in given}
         items = raw["companion"] = [*tables(raw, "companion"), {"image": printed(name)} | said]
         files[f"companion.{len(items) - 1}.image"] = path_of(name, "companion")

@@ -99,8 +99,9 @@ def find(place: str, known: Known, folder: Path, max_memory_gb: float, given: Pa
         return there[0], False
     if given is not None:
         raise XfemnavError("E100", f"{place}: nothing at {given}. Correct the path.")
-    raise XfemnavError("E100", f"{place}: nothing at {whole(places[0])} (as it lay from the folder of the run), "
-                               f"nor at {places[1]} (where it was). {_mend(place)}")
+    seen, was = whole(places[0]), str(places[1])
+    where = f" (as it lay from the folder of the run), nor at {was} (where it was)" if seen != was else ""
+    raise XfemnavError("E100", f"{place}: nothing at {seen}{where}. {_mend(place)}")
 
 
 def found_again(files: dict[str, Path], scenario: Path, max_memory_gb: float) -> tuple[dict, dict]:

@@ -14,6 +14,7 @@ from xfemnav.errors import XfemnavError
 
 FULL, NO_MEMORY = (errno.ENOSPC, errno.EDQUOT), (errno.ENOMEM,)
 TEMPORARY = ".xfemnav-tmp"  # ending of files that a killed run may leave; the next run removes them
+OTHER_TMPDIR = "Set TMPDIR to a folder that can be."
 UNFINISHED = re.compile(rf"\.\d+-\d+{re.escape(TEMPORARY)}")  # what `write_together` calls them
 
 NUMBERS = itertools.count()
@@ -40,7 +41,7 @@ def writing(where: Path, what: str, mend: str = "Give another folder with ⟦out
 
 def temporary_folder() -> Path:
     """A new folder among the temporary files. Raises XfemnavError E501, E502 where none can be made."""
-    with writing(Path(os.environ.get("TMPDIR", "/tmp")), "temporary files", "Set TMPDIR to a folder that can be."):
+    with writing(Path(os.environ.get("TMPDIR", "/tmp")), "temporary files", OTHER_TMPDIR):
         return Path(tempfile.mkdtemp(prefix="xfemnav-"))
 
 

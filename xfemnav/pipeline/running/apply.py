@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from xfemnav.errors import XfemnavError
-from xfemnav.pipeline.keeping.disk import remove_temporaries, scratch, write_together, writing
+from xfemnav.pipeline.keeping.disk import OTHER_TMPDIR, remove_temporaries, scratch, write_together, writing
 from xfemnav.pipeline.keeping.locks import locked
 from xfemnav.pipeline.keeping.names import BIDS, public_name, sidecar_name, slug, stem
 from xfemnav.pipeline.running.result import Result
@@ -66,7 +66,7 @@ def apply(result: Result, path: Path, folder: Path, choices: Choices = Choices()
     target = folder / output_name(path, step, inverse=choices.inverse)
     targets = [target, *([folder / sidecar_name(target.name)] if carry is _image else [])]
     _refuse(targets, {path, *kept, *_own(result)}, force)
-    with recorded() as caught, scratch() as aside, writing(aside, target.name):
+    with recorded() as caught, scratch() as aside, writing(aside, target.name, OTHER_TMPDIR):
         text = carry(result, path, aside / target.name, choices)
         files = {made.name: made.read_bytes() for made in sorted(aside.iterdir())}
     with writing(folder, "the output folder"):

@@ -12,6 +12,7 @@ HEAD = """\
 Written by `make docs` from the table `FAULTS` in `xfemnav/errors.py`, which the program uses too; edit it there.
 
 Every failure is one line: a code, what is wrong, where, and how to mend it. A traceback is printed only with `-vv`.
+A command line that cannot be read (status 2) has no code: it is told with the usage of the command.
 Warnings do not stop a run; they are printed, kept in `run.json` and shown in the report; ⟦strict⟧ makes them errors.
 
 | exit status | meaning |
