@@ -83,8 +83,8 @@ FAULTS = tuple(Fault(what, path, right, wrong, tuple(tests.split())) for what, p
     ("a slice as thick as its tissue, without the gap to the next", "imaging/reading/dicom.py", '_floats(fields, "SpacingBetweenSlices", 1, name) or _floats', "_floats", "dicom"),
     ("an origin in another unit than its axes", "imaging/reading/nrrd.py", "affine[:3, 3] = origin[0] * _units(fields, name)", "affine[:3, 3] = origin[0]", "formats"),
     ("nearest pixels rounded down", "imaging/carrying/warp.py", "values[int(min(max(x + 0.5, 0.0), n1 - 1.0))", "values[int(min(max(x, 0.0), n1 - 1.0))", "warp"),
-    ("a frame grown at the wrong end of a flipped axis", "imaging/carrying/transform.py", "(after if slice.flipped[k] else before)[k]", "before[k]", "transform"),
-    ("vectors turned backwards", "imaging/carrying/companions.py", 'np.einsum("nij,nj->ni", _rotations(given), world[tissue])', 'np.einsum("nji,nj->ni", _rotations(given), world[tissue])', "companions"),
+    ("a frame grown at the wrong end of a flipped axis", "imaging/frames/slices.py", "(after if self.flipped[k] else before)[k]", "before[k]", "transform"),
+    ("vectors turned backwards", "imaging/carrying/companions.py", 'np.einsum("nij,nj->ni", _rotations(part), world[tissue])', 'np.einsum("nji,nj->ni", _rotations(part), world[tissue])', "companions"),
     # Stages, cache and outputs
     ("a key without the versions of libraries", "pipeline/keeping/keys.py", '        "libraries": library_versions(libraries),\n', "", "cache"),
     ("a key without the stage's own code", "pipeline/keeping/keys.py", '        "own code": own_digest(stage),\n', "", "cache"),

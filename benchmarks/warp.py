@@ -53,7 +53,7 @@ def main() -> None:
     organ = covered(rest, origin, spacing, shape)
     pulled = pull_back(rest, moved, origin, spacing, shape)
     at = np.nan_to_num(pulled.resting).reshape(-1, 2).T
-    places, tissue = pulled.places.reshape(-1, 2), pulled.tissue.reshape(-1)
+    places = pulled.places[pulled.tissue]
     stacked, flat = np.ascontiguousarray(companions.transpose(1, 2, 0)[:, :, None]), np.eye(3)[:, :2]
     volume = np.random.default_rng(3).normal(size=(SIZE // 2, SIZE // 2, 64, 1))
     tilted = np.array([[0.5, 0], [0, 0.5], [0.01, 0.013]])
@@ -92,9 +92,9 @@ def main() -> None:
             image, organ, pull_back(rest, moved, origin, spacing, shape)),
         EACH: lambda: [
             update(companion, organ, pulled) for companion in companions],
-        MANY: lambda: sample_volume(stacked, flat, np.zeros(3), places, tissue, "linear"),
+        MANY: lambda: sample_volume(stacked, flat, np.zeros(3), places, "linear"),
         "xfemnav: sample_volume, one companion in 3-D": lambda: sample_volume(
-            volume, tilted, np.array([0, 0, 20.0]), places, tissue, "linear"),
+            volume, tilted, np.array([0, 0, 20.0]), places, "linear"),
     }
     seconds = interleaved(rows, REPEATS)
     theirs = np.stack([np.ma.filled(x, np.nan) for x in interpolated_map()], axis=-1)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.carrying.gaps import NEIGHBOURS
+from xfemnav.imaging.carrying.gaps import neighbours
 from xfemnav.imaging.organ.masks import components, filled, largest_component, one_piece, touched
 from xfemnav.imaging.organ.outline import MARGIN, SIGMA, _smoothed
 
@@ -41,12 +41,12 @@ def test_the_smoothed_mask_is_scipys_to_the_last_bit_or_two(mask):
 @settings(max_examples=50, deadline=None)
 @given(masks())
 def test_neighbours_come_in_the_order_of_a_distance_transform(mask):
-    """The first of NEIGHBOURS that holds tissue is the nearest pixel that scipy's transform names."""
+    """The first of the neighbours that holds tissue is the nearest pixel that scipy's transform names."""
     rim = np.argwhere(touched(mask) & ~mask)
     nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
     tissue = np.pad(mask, 1)
     for pixel in rim:
-        first = next(step for step in NEIGHBOURS if tissue[tuple(pixel + step + 1)])
+        first = next(step for step in neighbours(2) if tissue[tuple(pixel + step + 1)])
         assert tuple(pixel + first) == tuple(nearest[:, *pixel])
 
 

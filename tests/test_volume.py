@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.frames.slices import to_nifti
-from xfemnav.imaging.frames.volume import reordered, take_volume
-from xfemnav.imaging.reading.gate import read_image
+from xfemnav.imaging.frames.slices import to_nifti, values_on
+from xfemnav.imaging.frames.volume import take_volume
+from xfemnav.imaging.reading.gate import Image, read_image
 
 SHAPE = (7, 6, 5)
 VALUES = np.arange(np.prod(SHAPE), dtype=np.int16).reshape(SHAPE)
@@ -55,12 +55,51 @@ def test_all_48_storage_orders_have_the_same_voxels_at_the_same_places(tmp_path,
 def test_another_storage_order_of_one_grid_is_put_in_its_own(tmp_path, order, flips):
     volume = take_volume(read(tmp_path, *stored(order, flips)))
     image = read(tmp_path, VALUES, AFFINE)
-    assert_array_equal(reordered(image, volume), volume.values)
+    assert_array_equal(values_on(image, volume), volume.values)
     for axis in range(4):
         affine = AFFINE.copy()
         affine[min(axis, 2), 3 if axis == 3 else axis] += 0.3
-        assert reordered(read(tmp_path, VALUES, affine), volume) is None
-    assert reordered(read(tmp_path, VALUES[:-1], AFFINE), volume) is None
+        refused(read(tmp_path, VALUES, affine), volume)
+    refused(read(tmp_path, VALUES[:-1], AFFINE), volume)
+
+
+def refused(image, volume):
+    with pytest.raises(XfemnavError) as error:
+        values_on(image, volume)
+    assert error.value.code == "E204"
+
+
+def test_the_other_frame_that_makes_grids_one_is_named(tmp_path):
+    header = nibabel.Nifti1Header()
+    header.set_sform(np.diag([1, 1.5, 2, 1]), 2)
+    header.set_qform(AFFINE, 3)
+    nibabel.save(nibabel.Nifti1Image(VALUES, None, header), tmp_path / "two.nii")
+    one = nibabel.Nifti1Image(VALUES, AFFINE)
+    one.set_qform(AFFINE, 3)
+    nibabel.save(one, tmp_path / "one.nii")
+    with pytest.raises(XfemnavError, match='nifti_frame="qform"'):
+        values_on(read_image(tmp_path / "one.nii"), take_volume(read_image(tmp_path / "two.nii")))
+
+
+@pytest.mark.parametrize("how", ["nearest", "linear"])
+def test_another_grid_is_resampled_and_ends_where_it_ends(tmp_path, how):
+    """A ramp in the world is the same ramp on a grid turned against it."""
+    slope, coarse = np.array([1.0, -2, 0.5]), AFFINE.copy()
+    coarse[:3, :3] = AFFINE[:3, :3] @ Rotation.from_rotvec([0.1, 0.2, -0.1]).as_matrix() * 0.8
+    image = take_volume(read_of(VALUES))
+    ramp = image.pixel_centres() @ slope
+    volume = take_volume(Image(np.zeros((9, 8, 7)), coarse, "f8", 1, "", "other"))
+    found = values_on(Image(ramp, AFFINE, "f8", 1, "", "ramp"), volume, resample=how)
+    voxels = (volume.pixel_centres() - AFFINE[:3, 3]) @ np.linalg.inv(AFFINE[:3, :3]).T
+    nearest = np.rint(voxels)
+    there = ((nearest >= 0) & (nearest < SHAPE)).all(axis=-1)
+    assert there.any() and not there.all()
+    if how == "nearest":
+        assert_array_equal(found[there], ramp[tuple(nearest[there].T.astype(int))])
+    inner = there & ((voxels >= 0) & (voxels <= np.array(SHAPE) - 1)).all(axis=-1)
+    off = abs(found - volume.pixel_centres() @ slope)[inner]
+    assert off.max() < (1e-6 if how == "linear" else abs(slope @ AFFINE[:3, :3]).sum() / 2)
+    assert (found[~there] == 0).all()
 
 
 def test_points_are_of_the_world_and_none_is_off():
@@ -73,8 +112,6 @@ def test_points_are_of_the_world_and_none_is_off():
 
 
 def read_of(values):
-    from xfemnav.imaging.reading.gate import Image
-
     return Image(values, AFFINE, "int16", 1, "", "it")
 
 

@@ -195,3 +195,12 @@ def locate_beside_sheet(points, left, tetrahedra, buckets, sheet, sheet_buckets)
                 if fit > best:
                     best, found[n] = fit, c
     return found
+
+
+@njit(cache=True)
+def touches(points, sheet, buckets):
+    """Whether points (n, 3) are on triangles `sheet` (f, 3, 3), up to LIP, (n,) bool."""
+    found = np.zeros(len(points), np.bool_)
+    for n in range(len(points)):
+        found[n] = nearest_of(triple(points[n]), sheet, _listed(points[n], buckets))[2] <= LIP
+    return found

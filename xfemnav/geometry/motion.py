@@ -75,6 +75,15 @@ class Motion:
         distance, left = self._cuts.beside(np.array(points, float, ndmin=2))
         return distance, np.where(left, 1, -1)
 
+    def near(self, points) -> np.ndarray:
+        """Whether points (n, d) at rest are on a cut, up to LIP, (n,) bool."""
+        return self._cuts.near(points)
+
+    def crossings(self, start, end) -> tuple[np.ndarray, np.ndarray]:
+        """Where straight ways from `start` to `end`, both (n, d) at rest, meet the cuts: the way's number (k,) and the
+        part (k,) of it."""
+        return self._cuts.crossings(start, end)
+
     @cached_property
     def _cuts(self) -> Paths | Sheets:
         return (Paths if self.rest.shape[2] == 2 else Sheets)(self.cuts)

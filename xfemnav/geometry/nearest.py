@@ -116,3 +116,36 @@ def nearest_on_sheet(points, triangles):
             _, place[k], distance[k], height = nearest_of(p, triangles, near[:count])
             left[k] = height > 0
     return place, distance, left
+
+
+@njit(cache=True)
+def crossings(start, end, triangles, same):
+    """Where ways from `start` to `end`, both (n, 3), meet `triangles` (f, 3, 3): the way (k,) and the part (k,) of it.
+
+    An end, an edge or a corner that a way meets up to `same`, as a part of way or triangle, is met.
+    """
+    ways, parts = [], []
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    for t in triangles:
+        a, e, f = triple(t[0]), minus(triple(t[1]), triple(t[0])), minus(triple(t[2]), triple(t[0]))
+        normal = cross(e, f)
+        area = dot(normal, normal)
+        least, most = np.minimum(np.minimum(t[0], t[1]), t[2]), np.maximum(np.maximum(t[0], t[1]), t[2])
+        for n in range(len(start)):
+            if (high[n, 0] < least[0] - same or low[n, 0] > most[0] + same or high[n, 1] < least[1] - same
+                    or low[n, 1] > most[1] + same or high[n, 2] < least[2] - same or low[n, 2] > most[2] + same):
+                continue
+            p = triple(start[n])
+            step = minus(triple(end[n]), p)
+            across, height = dot(step, normal), dot(minus(a, p), normal)
+            if across == 0 or area == 0:
+                continue    # along the triangle
+            s = height / across
+            if not -same <= s <= 1 + same:
+                continue
+            w = minus(_along(p, step, s), a)
+            u, v = dot(cross(w, f), normal) / area, dot(cross(e, w), normal) / area
+            if u >= -same and v >= -same and u + v <= 1 + same:
+                ways.append(n)
+                parts.append(s)
+    return np.array(ways, np.int64), np.array(parts, np.float64)

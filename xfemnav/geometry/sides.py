@@ -4,9 +4,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import shapely
 
-from xfemnav.geometry.locate import LIP, bucket, locate_beside, locate_beside_sheet
-from xfemnav.geometry.nearest import nearest_on_sheet
+from xfemnav.geometry.locate import LIP, bucket, locate_beside, locate_beside_sheet, touches
+from xfemnav.geometry.nearest import crossings, nearest_on_sheet
+
+SAME = 1e-9  # rounding, as a part of what is rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,26 @@ class Paths:
         apex, ahead, back = corner.swapaxes(0, 1)
         return distance, _turn(ahead, points - apex) < _turn(ahead, back)
 
+    def near(self, points) -> np.ndarray:
+        """Whether points (n, 2) mm are on a path, up to LIP, (n,) bool."""
+        lines = shapely.MultiLineString([shapely.LineString(path) for path in self.cuts])
+        with np.errstate(invalid="ignore"):    # a place that is nowhere is on none
+            return shapely.dwithin(lines, shapely.points(points), LIP)
+
+    def crossings(self, start, end):
+        """Where ways from `start` to `end`, both (n, 2) mm, meet the paths: the way (k,) and the part (k,) of it."""
+        step, ways, parts = end - start, [np.zeros(0, int)], [np.zeros(0)]
+        for c, d in (ends for path in self.cuts for ends in zip(path, path[1:])):
+            edge = d - c
+            across = step[:, 0] * edge[1] - step[:, 1] * edge[0]
+            with np.errstate(divide="ignore", invalid="ignore"):    # parallel ways meet nothing
+                t = ((c - start)[:, 0] * edge[1] - (c - start)[:, 1] * edge[0]) / across
+                w = ((c - start)[:, 0] * step[:, 1] - (c - start)[:, 1] * step[:, 0]) / across
+            meet = np.flatnonzero((t >= -SAME) & (t <= 1 + SAME) & (w >= -SAME) & (w <= 1 + SAME))
+            ways.append(meet)
+            parts.append(t[meet])
+        return np.concatenate(ways), np.concatenate(parts)
+
     def locate(self, foot, corner, left, triangles, buckets) -> np.ndarray:
         """The triangle (n,) beside each place of `nearest`, on its left or right; -1 for none."""
         return locate_beside(foot, corner, left, triangles, buckets)
@@ -67,6 +90,24 @@ class Sheets:
         """Distance (n,) mm of points (n, 3) mm from the nearest sheet, and whether they are left of it (n,)."""
         return self._nearest(points)[2:]
 
+    def near(self, points) -> np.ndarray:
+        """Whether points (n, 3) mm are on a sheet, up to LIP, (n,) bool."""
+        found = np.zeros(len(points), bool)
+        for triangles, buckets in zip(self.cuts, self._buckets):
+            found |= touches(np.ascontiguousarray(points, float), triangles, buckets)
+        return found
+
+    def crossings(self, start, end):
+        """Where ways from `start` to `end`, both (n, 3) mm, meet the sheets: the way (k,) and the part (k,) of it."""
+        ways, parts = [np.zeros(0, int)], [np.zeros(0)]
+        for triangles in self.cuts:
+            low, high = triangles.min(axis=(0, 1)) - LIP, triangles.max(axis=(0, 1)) + LIP
+            n = np.flatnonzero(((np.maximum(start, end) >= low) & (np.minimum(start, end) <= high)).all(axis=1))
+            way, part = crossings(start[n], end[n], triangles, SAME)
+            ways.append(n[way])
+            parts.append(part)
+        return np.concatenate(ways), np.concatenate(parts)
+
     def locate(self, foot, sheet, left, tetrahedra, buckets) -> np.ndarray:
         """The tetrahedron (n,) beside each place of `nearest`, on its left or right; -1 for none."""
         found = np.full(len(foot), -1)
@@ -87,6 +128,11 @@ class Sheets:
             n = gap < distance
             foot[n], sheet[n], distance[n], left[n] = place[n], k, gap[n], above[n]
         return foot, sheet, distance, left
+
+
+def beside_cuts(cuts, points) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (n,) mm of `points` (n, d) mm from the nearest of `cuts`, and whether they are left of it (n,)."""
+    return (Sheets if np.ndim(cuts[0]) == 3 else Paths)(tuple(cuts)).beside(points)
 
 
 def _turn(a, b) -> np.ndarray:

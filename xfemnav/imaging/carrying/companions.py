@@ -1,8 +1,9 @@
 """Companions: other images of the preoperative patient, carried through the same map as the image itself.
 
 A companion has a grid of its own: a 3 mm functional map, a 1 mm label map, another stack of slices, one slice. Each
-pixel of the run's slice knows where its tissue rested; that place, in world mm and then in the companion's voxels, is
-where the companion is sampled, once. The resting places are computed once a run, and one matrix takes them to voxels.
+pixel of the run's slice or volume knows where its tissue rested; that place, in world mm and then in the companion's
+voxels, is where the companion is sampled, once. The motion is computed once a run, and one matrix takes its places to
+voxels, a part of the rows after the other.
 """
 
 from typing import NamedTuple
@@ -12,9 +13,12 @@ import numpy as np
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.imaging.carrying import tensors
 from xfemnav.imaging.carrying.background import background, corner_values, storable, warn_of_blank
+from xfemnav.imaging.carrying.lattice import slabs
+from xfemnav.imaging.carrying.solid import SolidPullBack
 from xfemnav.imaging.carrying.voxels import sample_volume
 from xfemnav.imaging.carrying.warp import PullBack, Update
-from xfemnav.imaging.frames.slices import Slice, to_nifti
+from xfemnav.imaging.frames.grid import Grid
+from xfemnav.imaging.frames.slices import to_nifti
 from xfemnav.imaging.reading.conventions import DIRECTED, ORDERS, Convention, convention, six
 from xfemnav.imaging.reading.formats import RAS
 from xfemnav.imaging.reading.gate import Components, Image
@@ -22,12 +26,13 @@ from xfemnav.imaging.reading.nifti import SYMMETRIC
 from xfemnav.limits import NEGATIVE_TENSORS, SHORT, SHRUNK_VECTORS
 
 KINDS = ("continuous", "label", "vector", "axis", "tensor")
+ENOUGH = 1 << 19  # tensors that tell what order they are in: more than a slice has
 UNSEEN = 0.01  # part of the tissue that a companion may miss without a warning
 ROUNDED = 1e-6  # of the largest eigenvalue: how negative float32 makes one that is 0
 VECTOR_INTENTS = range(1004, 1012)  # NIfTI's for several values a voxel, which stand along its fifth axis
 
 
-def carry(companion: Image | Components, frame: Slice, update: Update, *, kind: str, interp: str = "linear",
+def carry(companion: Image | Components, frame: Grid, update: Update, *, kind: str, interp: str = "linear",
           outside: str = "keep", fill: float | None = None, axes: str = "file", order: str | None = None):
     """The `companion` after the motion of `update`, a nibabel image on the grid of `frame` and in its storage order.
 
@@ -51,7 +56,7 @@ def carry(companion: Image | Components, frame: Slice, update: Update, *, kind: 
     wanted = ~empty if outside == "keep" else update.pull_back.tissue
     if kind in DIRECTED:
         how = convention(companion, frame.affine, tensors=kind == "tensor", axes=axes, order=order)
-        carried, seen = {"vector": _vectors, "axis": _axes, "tensor": _tensors}[kind](given, values, wanted, how)
+        carried, seen = _directed(given, values, wanted, kind, how)
         about = {"Kind": kind, "Fill": 0.0, "VectorFrame": how.frame}
         if kind == "tensor":
             about["TensorOrder"] = ["".join(sorted("xyz"[i] + "xyz"[j])) for i, j in ORDERS[how.order_out]]
@@ -64,7 +69,7 @@ def carry(companion: Image | Components, frame: Slice, update: Update, *, kind: 
     np.copyto(carried, blank, where=(empty | (wanted & ~seen))[..., None])
     dtype = _label_type(carried, companion) if kind == "label" else np.dtype(np.float32)
     about = {"Kind": kind, "Fill": blank[0].item() if len(blank) == 1 else blank.tolist()}
-    return _image(carried.astype(dtype), frame, companion, dtype, getattr(companion, "intent", 0), about)
+    return _image(carried, frame, companion, dtype, getattr(companion, "intent", 0), about)
 
 
 def _values(companion, kind: str) -> np.ndarray:
@@ -101,27 +106,30 @@ class _Given(NamedTuple):
     """What is carried along with which motion: where its values are asked for."""
 
     companion: Image | Components
-    frame: Slice
-    pull: PullBack
+    frame: Grid
+    pull: PullBack | SolidPullBack
     interp: str
 
     @property
     def to_voxels(self) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix (3, 2) and shift (3,) from plane mm of the frame to the companion's voxels."""
-        inverse, frame = np.linalg.inv(self.companion.affine), self.frame
-        return inverse[:3, :3] @ frame.axes[:2].T, inverse[:3, :3] @ (frame.offset * frame.axes[2]) + inverse[:3, 3]
+        """Matrix (3, d) and shift (3,) from mm of the frame to the companion's voxels."""
+        inverse, (axes, first) = np.linalg.inv(self.companion.affine), self.frame.placed
+        return inverse[:3, :3] @ axes, inverse[:3, :3] @ first + inverse[:3, 3]
 
-    def sampled(self, values, wanted, interp: str) -> tuple[np.ndarray, np.ndarray]:
-        """`values` (ni, nj, nk, nc) at the `wanted` (n1, n2) places of the motion, else 0: (n1, n2, nc), and where
-        there was a voxel (n1, n2)."""
-        shape, (matrix, shift) = wanted.shape, self.to_voxels
-        out, seen = sample_volume(values, matrix, shift, self.pull.places.reshape(-1, 2), wanted.reshape(-1), interp)
-        return out.reshape(*shape, -1), seen.reshape(shape)
+    def sampled(self, values, wanted, interp: str, first: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """`values` (ni, nj, nk, nc) at the `wanted` (m, ...) places of the motion, those of the rows from `first` on,
+        else 0: (m, ..., nc), and where there was a voxel (m, ...)."""
+        out, seen = np.zeros((*wanted.shape, values.shape[3])), np.ones(wanted.shape, bool)
+        for rows in slabs(wanted.shape):
+            part = wanted[rows]
+            places = self.pull.places_of(part, first + rows.start)
+            out[rows][part], seen[rows][part] = sample_volume(values, *self.to_voxels, places, interp)
+        return out, seen
 
     def part(self, values) -> np.ndarray:
         """The part of `values` (ni, nj, nk, nc) that the frame runs through: a slice where it is one of the grid's."""
         matrix, shift = self.to_voxels
-        ends = self.frame.pixel_centres()[[0, 0, -1, -1], [0, -1, 0, -1]] @ matrix.T + shift
+        ends = self.frame.corners @ matrix.T + shift
         last = np.array(values.shape[:3]) - 1
         low, high = (np.clip(np.rint(found(ends, axis=0)), 0, last).astype(int) for found in (np.min, np.max))
         return values[tuple(slice(a, b + 1) for a, b in zip(low, high))]
@@ -151,74 +159,122 @@ def _check_seen(given, seen) -> None:
     companion, pull, (matrix, shift) = given.companion, given.pull, given.to_voxels
     part = (pull.tissue & ~seen).sum() / max(pull.tissue.sum(), 1)
     if part == 1:
-        voxels = pull.resting[pull.tissue] @ matrix.T + shift
+        voxels = pull.places_of(pull.tissue) @ matrix.T + shift
         beyond = np.maximum(np.maximum(-0.5 - voxels, voxels + 0.5 - companion.values.shape[:3]), 0)
         distance = np.linalg.norm(beyond * _spacing(companion), axis=1).min()
-        raise XfemnavError("E130", f"{companion.name} ends {distance:.2f} mm from the tissue of the slice. Check its "
+        raise XfemnavError("E130", f"{companion.name} ends {distance:.2f} mm from the run's tissue. Check its "
                                    "affine: it must lie with the preoperative image in world mm.")
     if part > UNSEEN:
         warn("W130", f"{companion.name} has no voxels for {part:.0%} of the tissue, which gets the value of pixels "
                      "without tissue.")
 
 
-def _vectors(given, values, wanted, how: Convention):
-    """Vectors (n1, n2, 3) after the motion, and where there were voxels (n1, n2); warns W134 of those that shrink."""
-    lengths = np.linalg.norm(values, axis=3, keepdims=True)
-    carried, seen = given.sampled(np.concatenate([values, lengths], axis=3), wanted, given.interp)
+def _directed(given, values, wanted, kind: str, how: Convention):
+    """Vectors, axes or tensors (n1, ..., nc) after the motion, float32, and where there were voxels (n1, ...).
+
+    Part by part of the rows: what is known of each pixel meanwhile takes a hundred times as much as its value.
+    """
+    turned = {"vector": _vectors, "axis": _axes, "tensor": _tensors}[kind]
+    source = values
+    if kind == "vector":
+        source = np.concatenate([values, np.linalg.norm(values, axis=3, keepdims=True)], axis=3)
+    elif kind == "axis":
+        source = tensors.dyads(values @ how.from_file.T, ORDERS["fsl"])
+    if kind == "tensor":
+        _warn_of_order(given, values, how.order_in)
+    carried, seen = np.zeros((*wanted.shape, values.shape[3]), np.float32), np.ones(wanted.shape, bool)
+    short = np.zeros(2, int)
+    for rows in slabs(wanted.shape):
+        part = _Part(given, values, source, wanted[rows], rows.start)
+        carried[rows], seen[rows] = turned(part, how, short)
+    if kind == "vector":
+        _warn_of_short(given, *short)
+    return carried, seen
+
+
+class _Part(NamedTuple):
+    """The rows from `first` on of what is carried: its `values` (ni, nj, nk, nc), and the `source` of what is
+    interpolated (vectors and their lengths, axes' dyads, tensors), at the `wanted` (m, ...) pixels."""
+
+    given: _Given
+    values: np.ndarray
+    source: np.ndarray
+    wanted: np.ndarray
+    first: int
+
+    @property
+    def tissue(self) -> np.ndarray:
+        """Pixels (m, ...) with tissue in them."""
+        return self.given.pull.tissue[self.first:self.first + len(self.wanted)]
+
+    def sampled(self, values, interp: str):
+        """As `_Given.sampled`."""
+        return self.given.sampled(values, self.wanted, interp, self.first)
+
+    def of_tissue(self, each) -> np.ndarray:
+        """What is so `each` simplex (t, d, d), of every tissue pixel, in the world (n, 3, 3)."""
+        simplex = self.given.pull.simplices_of(self.tissue, self.first)
+        used, inverse = np.unique(simplex, return_inverse=True)
+        return tensors.in_space(each(self.given.pull.F[used]), self.given.frame.axes)[inverse]
+
+
+def _vectors(part, how: Convention, short):
+    """Vectors (m, ..., 3) after the motion, and where there were voxels (m, ...); adds to `short` (2,) how many are
+    shorter than their neighbours, of how many."""
+    carried, seen = part.sampled(part.source, part.given.interp)
     carried, length = carried[..., :3], carried[..., 3]
-    _warn_of_short(given, np.linalg.norm(carried, axis=2), length)
-    tissue, world = given.pull.tissue, carried @ how.from_file.T
-    world[tissue] = np.einsum("nij,nj->ni", _rotations(given), world[tissue])
+    there = part.tissue & (length > 0)
+    short += (np.linalg.norm(carried, axis=-1)[there] < SHORT.value * length[there]).sum(), there.sum()
+    tissue, world = part.tissue, carried @ how.from_file.T
+    world[tissue] = np.einsum("nij,nj->ni", _rotations(part), world[tissue])
     return world @ how.to_file, seen
 
 
-def _warn_of_short(given, found, wanted) -> None:
-    """W134 where interpolated vectors of length `found` (n1, n2) are shorter than their neighbours are, `wanted`."""
-    there = given.pull.tissue & (wanted > 0)
-    share = 100 * (found[there] < SHORT.value * wanted[there]).sum() / max(there.sum(), 1)
+def _warn_of_short(given, short: int, whole: int) -> None:
+    """W134 where many of the interpolated vectors are shorter than their neighbours are."""
+    share = 100 * short / max(whole, 1)
     if share > SHRUNK_VECTORS.value:
         warn("W134", f"{share:.0f} % of the vectors of {given.companion.name} in the organ are shorter than "
                      f"{SHORT.value:g} of their neighbours, which point elsewhere. If they are axes, whose sign means "
                      "nothing (FSL's V1), give the kind axis.")
 
 
-def _axes(given, values, wanted, how: Convention):
-    """Unit vectors (n1, n2, 3) along axes after the motion, 0 where the nearest voxel is 0, and where there were
+def _axes(part, how: Convention, _):
+    """Unit vectors (m, ..., 3) along axes after the motion, 0 where the nearest voxel is 0, and where there were
     voxels. The dyad e e^T knows no sign; the sign of the nearest voxel keeps neighbours alike."""
-    order = ORDERS["fsl"]
-    dyads, seen = given.sampled(tensors.dyads(values @ how.from_file.T, order), wanted, given.interp)
-    nearest, _ = given.sampled(values, wanted, "nearest")
-    world, tissue = nearest @ how.from_file.T, given.pull.tissue
-    there = world.any(axis=2)
-    D, R = tensors.matrices(dyads, order), np.tile(RAS, (*there.shape, 1, 1))
-    R[tissue] = _rotations(given)
+    dyads, seen = part.sampled(part.source, part.given.interp)
+    nearest, _ = part.sampled(part.values, "nearest")
+    world, tissue = nearest @ how.from_file.T, part.tissue
+    there = world.any(axis=-1)
+    D, R = tensors.matrices(dyads, ORDERS["fsl"]), np.tile(RAS, (*there.shape, 1, 1))
+    R[tissue] = _rotations(part)
     e = tensors.principal(D[there])
     e *= np.where(np.einsum("ni,ni->n", e, world[there]) < 0, -1, 1)[:, None]
     world[there] = np.einsum("nij,nj->ni", R[there], e)
     return world @ how.to_file, seen
 
 
-def _tensors(given, values, wanted, how: Convention):
-    """Tensors (n1, n2, 6) after the motion, and where there were voxels; warns W133 of another order."""
-    _warn_of_order(given, values, how.order_in)
-    carried, seen = given.sampled(values, wanted, given.interp)
-    tissue, pull = given.pull.tissue, given.pull
+def _tensors(part, how: Convention, _):
+    """Tensors (m, ..., 6) after the motion, and where there were voxels."""
+    carried, seen = part.sampled(part.source, part.given.interp)
+    tissue = part.tissue
     world = how.from_file @ tensors.matrices(carried, ORDERS[how.order_in]) @ how.from_file.T
-    F = tensors.in_space(pull.F[pull.triangle[tissue]], given.frame.axes)
-    world[tissue] = tensors.reoriented(world[tissue], F)
+    world[tissue] = tensors.reoriented(world[tissue], part.of_tissue(lambda F: F))
     return tensors.components(how.to_file.T @ world @ how.to_file, ORDERS[how.order_out]), seen
 
 
-def _rotations(given) -> np.ndarray:
-    """Rotation (n, 3, 3) of each tissue pixel, that of its triangle; the slice's normal stays as it is."""
-    pull = given.pull
-    return tensors.in_space(tensors.rotations(pull.F[pull.triangle[pull.tissue]]), given.frame.axes)
+def _rotations(part) -> np.ndarray:
+    """Rotation (n, 3, 3) of each tissue pixel, that of its simplex; a slice's normal stays as it is."""
+    return part.of_tissue(tensors.rotations)
 
 
 def _warn_of_order(given, values, order: str) -> None:
-    """W133 when tensors, `values` (ni, nj, nk, 6), have negative eigenvalues in the order taken."""
-    own, _ = given.sampled(values, given.pull.tissue, "nearest")
-    own = own[given.pull.tissue]
+    """W133 when tensors, `values` (ni, nj, nk, 6), have negative eigenvalues in the order taken: of at most ENOUGH."""
+    looked_at = np.zeros(given.pull.tissue.size, bool)
+    tissue = np.flatnonzero(given.pull.tissue)
+    looked_at[tissue[::len(tissue) // ENOUGH + 1]] = True
+    looked_at = looked_at.reshape(given.pull.tissue.shape)
+    own = given.sampled(values, looked_at, "nearest")[0][looked_at]
     shares = {name: _negative(own, places) for name, places in ORDERS.items()}
     if shares[order] <= NEGATIVE_TENSORS.value:
         return
@@ -239,7 +295,7 @@ def _negative(values, places) -> float:
 
 def _label_type(carried, companion) -> np.dtype:
     """The integer type of a label map: its own, or int32 or int64 for one that is stored as floats or with a scale."""
-    odd = carried[carried != np.rint(carried)]
+    odd = np.concatenate([row[row != np.rint(row)] for row in carried])    # row by row: volumes are large
     if odd.size:
         raise XfemnavError("E131", f"{companion.name} holds {odd[0]:g}: labels are whole numbers. If its values are "
                                    "measured ones, its kind is continuous.")
@@ -251,10 +307,10 @@ def _label_type(carried, companion) -> np.dtype:
     return np.dtype(np.int64)
 
 
-def _image(carried, frame: Slice, companion, dtype, intent: int, about: dict):
-    """`carried` (n1, n2, nc) as NIfTI with as many axes as its intent wants: 3, 4, or 5; `about` is its `extra`."""
-    like = to_nifti(frame, np.zeros(frame.values.shape), np.uint8)
-    data = frame.to_storage(carried.astype(dtype))
+def _image(carried, frame: Grid, companion, dtype, intent: int, about: dict):
+    """`carried` (n1, ..., nc) as NIfTI with as many axes as its intent wants: 3, 4, or 5; `about` is its `extra`."""
+    like = to_nifti(frame, np.zeros(frame.values.shape, np.uint8), np.uint8)
+    data = frame.to_storage(carried.astype(dtype, copy=False))
     if companion.values.ndim == 3:
         data = data[..., 0]
     elif intent in VECTOR_INTENTS:

@@ -5,22 +5,25 @@ shows it without a jump, but stretched lips are drawn across the gap. Or the lip
 beyond them a displacement leads out of the image, so that resampling gives background there.
 """
 
+from itertools import product
+
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import bicgstab, splu
 
 from xfemnav.geometry.motion import Motion
+from xfemnav.imaging.carrying.solid import SolidPullBack
 from xfemnav.imaging.carrying.warp import PullBack
 from xfemnav.imaging.organ.masks import touched
 
 NOWHERE = 1e4    # mm, farther than any image reaches
-# Pixels that touch one, the nearest first, and of equally near ones that of the first column, then of the first row.
-NEIGHBOURS = ((0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1))
+MANY = 60_000    # pixels of a gap from which on its equations are solved step by step
+RESIDUAL = 1e-8    # of what drives them, then
 HALVINGS = 12    # of a pixel, to find a lip: to 1/4096, which also bounds a link's weight
 
 
-def bridged(motion: PullBack, empty, tissue: Motion | None = None) -> np.ndarray:
-    """The field (n1, n2, 2) mm of `motion` with a harmonic bridge over the pixels `empty` (n1, n2) bool.
+def bridged(motion: PullBack | SolidPullBack, empty, tissue: Motion | None = None) -> np.ndarray:
+    """The field (n1, ..., d) mm of `motion` with a harmonic bridge over the pixels `empty` (n1, ...) bool.
 
     Between two near lips that is linear from one to the other. The tissue keeps its field, and takes the pixels next to
     it along where they are not `empty`, so that nothing is lost at the outline; what is farther outside stays at 0.
@@ -33,8 +36,8 @@ def bridged(motion: PullBack, empty, tissue: Motion | None = None) -> np.ndarray
         return field
     number = np.full(empty.shape, -1)
     number[empty] = np.arange(len(places))
-    diagonal, right, links = np.zeros(len(places)), np.zeros((len(places), 2)), []
-    for step in np.eye(2, dtype=int):
+    diagonal, right, links = np.zeros(len(places)), np.zeros(places.shape), []
+    for step in np.eye(empty.ndim, dtype=int):
         ends = [_end(motion, field, number, places, sign * step, tissue) for sign in (1, -1)]
         for (there, distance, value), (_, other, _) in (ends, ends[::-1]):
             # Second difference of unequal steps (Shortley and Weller); past the image's edge there is no flux.
@@ -46,29 +49,47 @@ def bridged(motion: PullBack, empty, tissue: Motion | None = None) -> np.ndarray
             links.append(np.column_stack([k, there[k], -weight[k]]))
     rows, columns, values = np.concatenate(links).T
     laplacian = sparse.csc_array((values, (rows.astype(int), columns.astype(int))), (len(places),) * 2)
-    field[empty] = splu(laplacian + sparse.diags_array(diagonal, format="csc")).solve(right)
+    field[empty] = _solution(laplacian + sparse.diags_array(diagonal, format="csc"), right, diagonal)
     return field
 
 
-def _rim(motion: PullBack) -> np.ndarray:
-    """Pixels (n1, n2) bool without tissue that touch tissue, also across a corner."""
+def _solution(laplacian, right, diagonal) -> np.ndarray:
+    """The solution (n, d) of the bridge's equations: directly, or where there are MANY of them by iterations, which
+    take as many steps as the gap is pixels wide. Unequal steps leave the matrix without symmetry."""
+    if len(right) >= MANY:
+        inverse = sparse.diags_array(1 / diagonal)
+        found = [bicgstab(laplacian, b, rtol=RESIDUAL, M=inverse) for b in right.T]
+        if not any(failed for _, failed in found):
+            return np.stack([solution for solution, _ in found], axis=1)
+    return splu(laplacian).solve(right)
+
+
+def _rim(motion) -> np.ndarray:
+    """Pixels (n1, ...) bool without tissue that touch tissue, also across a corner."""
     return ~motion.tissue & touched(motion.tissue)
 
 
-def _carried(motion: PullBack, among) -> np.ndarray:
-    """The field of `motion`, where pixels `among` (n1, n2) bool that touch tissue have that of the nearest tissue."""
-    field, places = motion.field.copy(), np.argwhere(_rim(motion) & among)
+def neighbours(n_axes: int) -> list[tuple[int, ...]]:
+    """Steps to the pixels that touch one, the nearest first; of equals that of the first column, then row."""
+    steps = [step for step in product((-1, 0, 1), repeat=n_axes) if any(step)]
+    return sorted(steps, key=lambda step: (np.abs(step).sum(), step[::-1]))
+
+
+def _carried(motion, among) -> np.ndarray:
+    """The field of `motion`, where pixels `among` (n1, ...) bool that touch tissue have that of the nearest tissue."""
+    known = motion.field
+    field, places = known.copy(), np.argwhere(_rim(motion) & among)
     tissue = np.pad(motion.tissue, 1)
-    for step in NEIGHBOURS[::-1]:  # what is nearer is written later
+    for step in neighbours(among.ndim)[::-1]:  # what is nearer is written later
         to = places + step
         there = tissue[tuple(to.T + 1)]
-        field[tuple(places[there].T)] = motion.field[tuple(to[there].T)]
+        field[tuple(places[there].T)] = known[tuple(to[there].T)]
     return field
 
 
 def _end(motion, field, number, places, step, tissue):
-    """What lies a `step` (2,) from the empty pixels `places` (n, 2): an empty one's number or -1, the distance mm, the
-    known value (n, 2) mm, 0 for empty ones. The distance is infinite past the image's edge."""
+    """What lies a `step` (d,) from the empty pixels `places` (n, d): an empty one's number or -1, the distance mm, the
+    known value (n, d) mm, 0 for empty ones. The distance is infinite past the image's edge."""
     to = places + step
     inside = ((to >= 0) & (to < number.shape)).all(axis=1)
     pixel = tuple(np.where(inside[:, None], to, places).T)
@@ -77,15 +98,15 @@ def _end(motion, field, number, places, step, tissue):
     distance, value = np.where(inside, length, np.inf), np.where((inside & (there < 0))[:, None], field[pixel], 0)
     if tissue is not None:
         k = np.flatnonzero(inside & motion.tissue[pixel])
-        fraction, lip = _lip(tissue, *(motion.origin + motion.spacing * at[k] for at in (places, to)))
+        fraction, lip = _lip(tissue, *(motion.centres_of(at[k]) for at in (places, to)))
         found = np.isfinite(lip[:, 0])    # not where rounding puts the pixel in the tissue for one and not the other
         distance[k[found]], value[k[found]] = length * fraction[found], lip[found]
     return there, distance, value
 
 
 def _lip(tissue, start, end):
-    """On the ways from `start` in a gap to `end` in tissue, (n, 2) mm: the fraction (n,) at which tissue begins, and
-    resting place minus position (n, 2) mm there."""
+    """On the ways from `start` in a gap to `end` in tissue, (n, d) mm: the fraction (n,) at which tissue begins, and
+    resting place minus position (n, d) mm there."""
     low, high = np.zeros(len(start)), np.ones(len(start))
     for _ in range(HALVINGS):
         middle = (low + high) / 2
@@ -95,8 +116,8 @@ def _lip(tissue, start, end):
     return high, tissue.to_preoperative(at) - at
 
 
-def extended(motion: PullBack, empty) -> np.ndarray:
-    """The field (n1, n2, 2) mm of `motion`; pixels next to tissue go with it, other `empty` (n1, n2) bool NOWHERE."""
+def extended(motion: PullBack | SolidPullBack, empty) -> np.ndarray:
+    """The field (n1, ..., d) mm of `motion`; pixels next to tissue go with it, others of `empty` are NOWHERE."""
     field = _carried(motion, np.ones_like(empty))
     field[empty & ~_rim(motion)] = NOWHERE
     return field

@@ -1,19 +1,19 @@
 """Landmarks through the motion of the tissue, both ways, each with a word on what it is in.
 
-Points are (n, 2) plane mm or (n, 3) world RAS mm; world points keep their distance from the slice's plane.
+Points are (n, 2) plane mm or (n, 3) world RAS mm; of a slice world points keep their distance from its plane.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 
 from xfemnav.errors import warn
-from xfemnav.geometry.locate import LIP, TOUCH, held
+from xfemnav.geometry.locate import TOUCH, held
 from xfemnav.geometry.mesh import frozen_array
 from xfemnav.geometry.motion import Motion
+from xfemnav.geometry.within import within
 from xfemnav.imaging.frames.grid import Grid
-from xfemnav.imaging.frames.slices import Slice, rows_of, warn_of_slice
+from xfemnav.imaging.frames.slices import rows_of, warn_of_slice
 from xfemnav.imaging.points.point_set import PointSet, frame_suspicion
 
 TISSUE, ON_A_CUT, RESECTED, IN_THE_CUT, OUTSIDE = "tissue", "on a cut", "resected", "in the cut", "outside"
@@ -42,14 +42,14 @@ class MovedPoints:
 def moved_points(points, frame: Grid, motion: Motion, organ, side=None) -> MovedPoints:
     """Where preoperative `points` are now.
 
-    `organ` (t, 3, 2) mm: triangles of the whole organ at rest, also of what was resected. `side`: the lip for points
-    on a cut, +1 left or -1 right, one for all or (n,); None or 0 for no choice.
+    `organ` (t, d + 1, d) mm: simplices of the whole organ at rest, also of what was resected. `side`: the lip for
+    points on a cut, +1 left or -1 right, one for all or (n,); None or 0 for no choice.
     """
     points, plane, distance = _in_plane(points, frame)
     side = np.broadcast_to(0 if side is None else side, len(plane))
     moved = motion.to_current(plane)
-    lips = np.full((len(plane), 2, 2), np.nan)
-    near = motion.beside(plane)[0] <= LIP
+    lips = _no_lips(plane)
+    near = motion.near(plane)
     lips[near] = np.stack([motion.to_current(plane[near], s) for s in (1, -1)], axis=1)
     on_cut = np.isfinite(lips[..., 0]).any(axis=1)
     moved[on_cut] = _chosen(lips[on_cut], side[on_cut])
@@ -61,18 +61,22 @@ def moved_points(points, frame: Grid, motion: Motion, organ, side=None) -> Moved
 def resting_points(points, frame: Grid, motion: Motion, outline) -> MovedPoints:
     """Where the tissue that is now at `points` was preoperatively.
 
-    `outline` (k, 2) mm: the organ's outline now, a closed loop with its mouths bridged. Where tissue overlaps, the
-    result is one of its places.
+    `outline`: the organ's outline now with its mouths bridged, a closed loop (k, 2) mm or closed triangles (k, 3, 3)
+    mm. Where tissue overlaps, the result is one of its places.
     """
     points, plane, distance = _in_plane(points, frame)
     moved = motion.to_preoperative(plane)
-    inside = shapely.contains_xy(shapely.Polygon(outline).buffer(0), plane)
-    flag = np.select([np.isfinite(moved[:, 0]), inside], [TISSUE, IN_THE_CUT], OUTSIDE)
-    return _result(points, frame, moved, np.full((len(plane), 2, 2), np.nan), distance, flag)
+    flag = np.select([np.isfinite(moved[:, 0]), within(plane, outline)], [TISSUE, IN_THE_CUT], OUTSIDE)
+    return _result(points, frame, moved, _no_lips(plane), distance, flag)
 
 
-def warn_of_points(found: PointSet, name: str, frame: Slice, outline) -> None:
-    """W131 and W132 of the landmarks `found` in the file `name`; `outline` (k, 2) mm is the organ's at their time."""
+def _no_lips(points) -> np.ndarray:
+    """Lips (n, 2, d) of points (n, d) that are on no cut."""
+    return np.full((len(points), 2, *points.shape[1:]), np.nan)
+
+
+def warn_of_points(found: PointSet, name: str, frame: Grid, outline) -> None:
+    """W131 and W132 of the landmarks `found` in the file `name`; `outline` is the organ's at their time."""
     if found.form is not None and not found.form.stated:
         warn("W131", f"{name} does not say in which frame its x,y,z count, nor does a coordsystem.json beside it; they "
                      "were read as RAS, as BIDS counts electrodes in an image. Name the columns r,a,s or l,p,s.")
@@ -80,19 +84,18 @@ def warn_of_points(found: PointSet, name: str, frame: Slice, outline) -> None:
     warn_of_slice(found.points, name, frame)
 
 
-def warn_of_frame(points, name: str, frame: Slice, outline, mend: str) -> None:
+def warn_of_frame(points, name: str, frame: Grid, outline, mend: str) -> None:
     """W131 where `points` (n, 3) RAS mm of a file seem to count in another frame.
 
-    `outline` (k, 2) mm: that of the organ at rest. `mend` says how the frame is set right.
+    `outline`, as in `within`: that of the organ at rest. `mend` says how the frame is set right.
     """
-    organ = shapely.Polygon(outline)
-    suspicion = frame_suspicion(points, lambda world: shapely.contains_xy(organ, frame.from_world(world)[0]))
+    suspicion = frame_suspicion(points, lambda world: within(frame.from_world(world)[0], outline))
     if suspicion:
         warn("W131", f"{name}: {suspicion} {mend}")
 
 
 def _chosen(lips, side) -> np.ndarray:
-    """Of the `lips` (n, 2, 2) that of each `side` (n,); for 0 the only one or the one that both share, else NaN."""
+    """Of the `lips` (n, 2, d) that of each `side` (n,); for 0 the only one or the one that both share, else NaN."""
     left, right = lips.swapaxes(0, 1)
     apart = np.linalg.norm(left - right, axis=1) > TOUCH    # False where one is NaN
     either = np.where(np.isnan(left), right, left)
@@ -101,7 +104,7 @@ def _chosen(lips, side) -> np.ndarray:
 
 
 def _in_plane(points, frame: Grid):
-    """The points (n, d), their plane mm (n, 2) and signed distance (n,) mm from the plane."""
+    """The points (n, 2 or 3), where they are on the grid (n, d), and their signed distance (n,) mm from it."""
     points = rows_of(points)
     if points.shape[1] == 2:
         return points, points, np.zeros(len(points))

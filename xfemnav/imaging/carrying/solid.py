@@ -12,8 +12,10 @@ import numpy as np
 
 from xfemnav.geometry.mesh import determinants
 from xfemnav.imaging.carrying.lattice import slabs
-from xfemnav.imaging.carrying.tetrahedra import affine_maps, mapped, places, rasterise
+from xfemnav.imaging.carrying.tetrahedra import affine_maps, fill, mapped, places, rasterise
 from xfemnav.imaging.carrying.voxels import sample_volume
+
+DIGITS = 9  # of places in voxels
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +102,7 @@ class SolidPullBack:
             simplex = self.simplex[rows]
             wanted = simplex >= 0
             at = places(simplex, wanted, self._maps, self._own, low + np.array([rows.start, 0, 0]))
-            found, _ = sample_volume(values[..., None], inverse[:, :3], inverse[:, 3], at,
-                                     np.ones(len(at), bool), interp, np.inf)
+            found, _ = sample_volume(values[..., None], inverse[:, :3], inverse[:, 3], at, interp, np.inf)
             out[inner][rows][wanted] = found[:, 0]
 
     @cached_property
@@ -138,6 +139,13 @@ def pull_back_in_space(rest, moved, origin, steps, shape) -> SolidPullBack:
     size = np.clip(np.ceil(high).astype(int) + 1, first, shape) - first
     found = rasterise(rest, there - first, np.sign(np.linalg.det(steps)), *size.tolist())
     return SolidPullBack(*found, first, np.array(origin, float), np.array(steps, float), tuple(shape), rest, moved)
+
+
+def enclosed_in_space(surface, origin, steps, shape) -> np.ndarray:
+    """`warp.enclosed` of closed triangles (k, 3, 3) mm on a lattice as in `pull_back_in_space`."""
+    inverse = _inverse(origin, steps)
+    voxels = np.asarray(surface, float) @ inverse[:, :3].T + inverse[:, 3]
+    return fill(np.round(voxels, DIGITS), *shape)    # one corner is one place, whoever computed it
 
 
 def _inverse(origin, steps) -> np.ndarray:

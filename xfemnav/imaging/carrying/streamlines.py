@@ -1,20 +1,20 @@
-"""Fibre tracts (.trk, .tck) through the motion of the tissue in a slice.
+"""Fibre tracts (.trk, .tck) through the motion of the tissue in a slice or a volume.
 
-The motion is known in the slice alone. The parts of a streamline within the slice's slab move with the tissue and keep
-their distance from its plane; each one ends at a lip where it meets a cut, and what ran through resected tissue is
-gone. All other parts, off the slab or outside of the organ, stay as they are or are dropped, never moved by guess.
+Of a slice the motion is known in it alone. The parts of a streamline within the slice's slab move with the tissue and
+keep their distance from its plane; of a volume the slab is all of space. Each part ends at a lip where it meets a cut,
+and what ran through resected tissue is gone. All other parts, off the slab or outside of the organ, stay as they are or
+are dropped, never moved by guess.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from nibabel.streamlines.tractogram_file import TractogramFile
 
 from xfemnav.errors import warn
 from xfemnav.geometry.locate import LIP, held
 from xfemnav.geometry.motion import Motion
-from xfemnav.imaging.frames.slices import Slice
+from xfemnav.imaging.frames.grid import Grid
 from xfemnav.imaging.points.tract_files import file_like
 
 FLAGS = ("kept", "moved", "split", "trimmed")  # their numbers are what a .trk stores
@@ -41,13 +41,13 @@ class MovedStreamlines:
 
 
 
-def move_streamlines(file: TractogramFile, frame: Slice, motion: Motion, organ, *,
+def move_streamlines(file: TractogramFile, frame: Grid, motion: Motion, organ, *,
                      half_mm: float | None = None, elsewhere: str = "keep") -> MovedStreamlines:
-    """The streamlines of `file` after the `motion` of the tissue in the slice `frame`.
+    """The streamlines of `file` after the `motion` of the tissue in the slice or volume `frame`.
 
-    `organ` (t, 3, 2) mm: triangles of the whole organ at rest, also of what was resected. What lies within `half_mm` of
-    the plane (by default half the slice's thickness) moves. `elsewhere`: "keep" the parts off the slab and outside of
-    the organ as streamlines of their own, or "drop" them. Streamlines of one point, too, stay.
+    `organ` (t, d + 1, d) mm: simplices of the whole organ at rest, also of what was resected. What lies within
+    `half_mm` of the plane (by default half the slice's thickness) moves. `elsewhere`: "keep" the parts off the slab and
+    outside of the organ as streamlines of their own, or "drop" them. Streamlines of one point, too, stay.
     """
     if elsewhere not in ("keep", "drop"):
         raise ValueError(f"elsewhere is {elsewhere!r}, wanted keep or drop")
@@ -77,7 +77,7 @@ class _Line:
     A place on them is a number s: point k at s = k, and evenly from there to the next.
     """
 
-    def __init__(self, points, owner, frame: Slice, half: float):
+    def __init__(self, points, owner, frame: Grid, half: float):
         self.points, self.frame, self.half = points, frame, half
         self.joined = np.append(owner[1:] == owner[:-1], False)  # whether point k goes on to k + 1
 
@@ -97,7 +97,7 @@ class _Line:
         return self.points[k] + t[:, None] * (self.points[following] - self.points[k])
 
     def plane(self, s) -> np.ndarray:
-        """Plane mm (n, 2) of the places `s`."""
+        """Where the places `s` are on the grid, (n, d) mm."""
         return self.frame.from_world(self.world(s))[0]
 
     def in_slab(self, s) -> np.ndarray:
@@ -126,26 +126,17 @@ def _stops(line: _Line, motion) -> tuple[np.ndarray, np.ndarray]:
     within = [s[i[parts == n], None] + (s[i[parts == n] + 1] - s[i[parts == n]])[:, None] * np.arange(1, n) / n
               for n in np.unique(parts[parts > 1])]
     s = np.unique(np.concatenate([s, *(w.ravel() for w in within)]))
-    crossings = _crossings(line, s, motion.cuts)
+    crossings = _crossings(line, s, motion)
     s = np.unique(np.concatenate([s, crossings]))
     return np.unique(np.concatenate([s, _ends_of_tissue(line, s, motion)])), crossings
 
 
-def _crossings(line: _Line, s, cuts) -> np.ndarray:
-    """Places where steps in the slab meet the `cuts`."""
+def _crossings(line: _Line, s, motion) -> np.ndarray:
+    """Places where steps in the slab meet the cuts."""
     i, _ = line.steps(s)
-    a, b = line.plane(s[i]), line.plane(s[i + 1])
-    step, found = b - a, []
-    for c, d in (ends for path in cuts for ends in zip(path, path[1:])):
-        edge = d - c
-        across = step[:, 0] * edge[1] - step[:, 1] * edge[0]
-        with np.errstate(divide="ignore", invalid="ignore"):    # parallel steps meet nothing
-            t = ((c - a)[:, 0] * edge[1] - (c - a)[:, 1] * edge[0]) / across
-            w = ((c - a)[:, 0] * step[:, 1] - (c - a)[:, 1] * step[:, 0]) / across
-        meet = (t >= -SAME) & (t <= 1 + SAME) & (w >= -SAME) & (w <= 1 + SAME)
-        t = np.where(t[meet] < MEETS, 0, np.where(t[meet] > 1 - MEETS, 1, t[meet]))
-        found.append((1 - t) * s[i[meet]] + t * s[i[meet] + 1])
-    return np.unique(np.concatenate([np.zeros(0), *found]))
+    k, t = motion.crossings(line.plane(s[i]), line.plane(s[i + 1]))
+    t = np.where(t < MEETS, 0, np.where(t > 1 - MEETS, 1, t))
+    return np.unique((1 - t) * s[i[k]] + t * s[i[k] + 1])
 
 
 def _ends_of_tissue(line: _Line, s, motion) -> np.ndarray:
@@ -187,7 +178,7 @@ def _lips(line: _Line, s, crossings, state, motion) -> np.ndarray:
 
 
 def _towards(points, others) -> np.ndarray:
-    """Points (n, 2) half a lip's width nearer to the others, at most halfway."""
+    """Points (n, d) half a lip's width nearer to the others, at most halfway."""
     way = others - points
     length = np.linalg.norm(way, axis=1)[:, None]
     return points + way * np.minimum(0.5, LIP / 2 / np.where(length > 0, length, 1))
@@ -221,8 +212,7 @@ def _moved(line: _Line, s, first, last, state, at, motion) -> np.ndarray:
     neighbour = s[(at + on)[moves]]
     side = np.zeros(len(plane), int)
     if motion.cuts:
-        cuts = shapely.MultiLineString([shapely.LineString(path) for path in motion.cuts])
-        near = shapely.dwithin(cuts, shapely.points(plane), LIP)
+        near = motion.near(plane)
         side[near] = motion.beside(_towards(plane[near], line.plane(neighbour[near])))[1]
     now, beside = motion.to_current(plane), side != 0
     lip = motion.to_current(plane[beside], side[beside])

@@ -1,7 +1,7 @@
-"""Surfaces (.stl, .vtk, .vtp, .gii, .obj, .ply) through the motion of the tissue in a slice.
+"""Surfaces (.stl, .vtk, .vtp, .gii, .obj, .ply) through the motion of the tissue in a slice or a volume.
 
-A surface is many landmarks joined by faces, and its points move as landmarks do: with the tissue of the slice at their
-place, in or beside the plane, keeping their distance from it. What is outside of the organ stays. Points keep their
+A surface is many landmarks joined by faces, and its points move as landmarks do: with the tissue at their place, of a
+slice in or beside its plane, keeping their distance from it. What is outside of the organ stays. Points keep their
 number and order, so that what other files say of them (curvature, parcels) still fits; a face that a cut or a resection
 separates is left out, never stretched across the gap, and so is one at the outline where the tissue has left it.
 """
@@ -12,8 +12,8 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from xfemnav.geometry.locate import LIP
-from xfemnav.geometry.mesh import frozen_array
+from xfemnav.geometry.locate import LIP, held
+from xfemnav.geometry.mesh import frozen_array, volumes
 from xfemnav.geometry.motion import Motion
 from xfemnav.imaging.carrying.landmarks import (
     ON_A_CUT,
@@ -23,12 +23,14 @@ from xfemnav.imaging.carrying.landmarks import (
     moved_points,
     warn_of_frame,
 )
-from xfemnav.imaging.frames.slices import Slice, warn_of_slice
+from xfemnav.imaging.frames.grid import Grid
+from xfemnav.imaging.frames.slices import warn_of_slice
 from xfemnav.imaging.points.surface_files import Surface
 from xfemnav.interruption import checkpoint
 from xfemnav.limits import PARTED
 
 BLOCK = 1 << 14  # points that are looked up at once: their distances to all segments of the cuts are kept together
+STEP = 1.0  # mm between places of a face in space that are looked at
 SAME = 1e-6  # rounding, as a part of what is rounded
 LEFT_OUT = ("on a cut", "resected", "at the outline")  # why faces are left out
 
@@ -71,7 +73,7 @@ class MovedSurface:
         return (f"{len(self.flag)} points: {flags}; {self.off} off the slice by up to {self.farthest:.1f} mm; "
                 f"{len(self.kept)} faces, {f'left out {left_out}' if left_out else 'all kept'} ({self.surface.frame})")
 
-    def warn_of_frame(self, name: str, frame: Slice, outline) -> None:
+    def warn_of_frame(self, name: str, frame: Grid, outline) -> None:
         """W131 where the surface in the file `name` seems to count in another frame, W132 where it lies all on one side
         of the slice, so that none of it is known to move as its tissue does."""
         mend = "Check the frame that the file states." if self.surface.stated else "Say its frame: ⟦space=lps|ras⟧."
@@ -86,10 +88,10 @@ class MovedSurface:
         return self.surface.written(self.points, self.kept)
 
 
-def move_surface(surface: Surface, frame: Slice, motion: Motion, organ) -> MovedSurface:
-    """The `surface` after the `motion` of the tissue in the slice `frame`.
+def move_surface(surface: Surface, frame: Grid, motion: Motion, organ) -> MovedSurface:
+    """The `surface` after the `motion` of the tissue in the slice or volume `frame`.
 
-    `organ` (t, 3, 2) mm: triangles of the whole organ at rest, also of what was resected.
+    `organ` (t, d + 1, d) mm: simplices of the whole organ at rest, also of what was resected.
     """
     organ = np.asarray(organ)
     found = []
@@ -99,7 +101,7 @@ def move_surface(surface: Surface, frame: Slice, motion: Motion, organ) -> Moved
     flag = np.concatenate([part.flag for part in found])
     points = np.concatenate([part.moved for part in found])
     lips = np.concatenate([part.lips for part in found])
-    faces = _Faces(surface, frame)
+    faces = (_FlatFaces if len(frame.spacing) < len(frame.axes) else _SolidFaces)(surface, frame)
     two_valued = np.isnan(points[:, 0]) & (flag == ON_A_CUT)
     side = faces.sides(two_valued, motion)
     points[two_valued] = _on_lips(lips[two_valued], side[two_valued])
@@ -121,15 +123,15 @@ def _on_lips(lips, side) -> np.ndarray:
 
 
 class _Faces:
-    """The faces of a surface in the plane of a slice: corner k is point `corners[k]` of face `owner[k]`, at `at` (k, 2)
-    mm; `middle` (m, 2) is the mean of each face's corners."""
+    """The faces of a surface on a grid's axes: corner k is point `corners[k]` of face `owner[k]`, at `at` (k, d) mm;
+    `middle` (m, d) is the mean of each face's corners."""
 
-    def __init__(self, surface: Surface, frame: Slice):
+    def __init__(self, surface: Surface, frame: Grid):
         self.n, self.corners = len(surface.count), surface.corners
         self.owner = np.repeat(np.arange(self.n), surface.count)
-        self.points = frame.from_world(surface.points)[0] if len(surface.points) else np.zeros((0, 2))
+        self.points = frame.from_world(surface.points)[0] if len(surface.points) else np.zeros((0, len(frame.spacing)))
         self.at = self.points[self.corners]
-        self.middle = np.zeros((self.n, 2))
+        self.middle = np.zeros((self.n, *self.points.shape[1:]))
         np.add.at(self.middle, self.owner, self.at)
         self.middle /= np.maximum(surface.count, 1)[:, None]
 
@@ -161,19 +163,13 @@ class _Faces:
         Only those with a point that `moves` (n,). A face that ends on a cut does not go through it.
         """
         wrong = self.any((self.on != 0) & (self.on != side[self.corners]))
-        if not motion.cuts:
-            return wrong
-        return wrong | self._meet(shapely.multilinestrings(list(motion.cuts)), self.any(moves[self.corners]))
+        return wrong | self.crossed(motion, self.any(moves[self.corners])) if motion.cuts else wrong
 
     def gone(self, flag, motion, organ) -> np.ndarray:
         """Faces (m,) bool that have tissue in them that was resected."""
         lost = self.any((flag == RESECTED)[self.corners])
-        rest, whole = shapely.polygons(motion.rest), shapely.polygons(organ)
-        area = shapely.area(whole).sum()
-        if area - shapely.area(rest).sum() <= SAME * area:
-            return lost
-        hole = shapely.union_all(whole).difference(shapely.union_all(rest)).buffer(-LIP)
-        return lost | self._meet(hole, ~lost)
+        left, whole = (abs(volumes(simplices)).sum() for simplices in (motion.rest, organ))
+        return lost if whole - left <= SAME * whole else lost | self.hollow(motion, organ, ~lost)
 
     def parted(self, flag, motion, organ) -> np.ndarray:
         """Faces (m,) bool with corners in tissue and outside, where the outline has moved by more than PARTED."""
@@ -182,10 +178,29 @@ class _Faces:
         k = np.flatnonzero(outside & mixed[self.owner])
         apart = np.zeros(len(self.corners), bool)
         if len(k):
-            places = organ.reshape(-1, 2)
+            places = organ.reshape(-1, self.at.shape[1])
             nearest = places[cKDTree(places).query(self.at[k])[1]]
             apart[k] = np.linalg.norm(motion.displacement(nearest), axis=1) > PARTED.value  # NaN: resected, told there
         return self.any(apart)
+
+    def drawn_in(self, k) -> np.ndarray:
+        """The corners `k`, two widths of a lip towards the middle of their face: at its rim it has nothing."""
+        inward = self.middle[self.owner[k]] - self.at[k]
+        length = np.linalg.norm(inward, axis=1)[:, None]
+        return self.at[k] + inward * np.minimum(0.5, 2 * LIP / np.where(length > 0, length, 1))
+
+
+class _FlatFaces(_Faces):
+    """Faces in the plane of a slice."""
+
+    def crossed(self, motion, faces) -> np.ndarray:
+        """Those of the `faces` (m,) bool that a cut goes through."""
+        return self._meet(shapely.multilinestrings(list(motion.cuts)), faces)
+
+    def hollow(self, motion, organ, faces) -> np.ndarray:
+        """Those of the `faces` (m,) bool that have a part in the organ where no tissue is left."""
+        rest, whole = shapely.polygons(motion.rest), shapely.polygons(organ)
+        return self._meet(shapely.union_all(whole).difference(shapely.union_all(rest)).buffer(-LIP), faces)
 
     def _meet(self, shape, faces) -> np.ndarray:
         """Those of the `faces` (m,) bool that a `shape` has something in common with; at their rim alone is nothing."""
@@ -201,11 +216,43 @@ class _Faces:
             near &= (most >= low[axis]) & (least <= high[axis])
         chosen = np.flatnonzero(near & faces)
         k = np.flatnonzero(np.isin(self.owner, chosen))
-        inward = self.middle[self.owner[k]] - self.at[k]
-        length = np.linalg.norm(inward, axis=1)[:, None]
-        drawn_in = self.at[k] + inward * np.minimum(0.5, 2 * LIP / np.where(length > 0, length, 1))
         hulls = shapely.convex_hull(shapely.multipoints(
-            shapely.points(drawn_in), indices=np.searchsorted(chosen, self.owner[k])))
+            shapely.points(self.drawn_in(k)), indices=np.searchsorted(chosen, self.owner[k])))
         shapely.prepare(shape)
         found[chosen] = shapely.intersects(shape, hulls)
         return found
+
+
+class _SolidFaces(_Faces):
+    """Faces in space."""
+
+    def crossed(self, motion, faces) -> np.ndarray:
+        """Those of the `faces` (m,) bool an edge of which a cut goes through."""
+        start, end = self._edges(faces)
+        ways, _ = motion.crossings(self.drawn_in(start), self.drawn_in(end))
+        found = np.zeros(self.n, bool)
+        found[self.owner[start[ways]]] = True
+        return found
+
+    def hollow(self, motion, organ, faces) -> np.ndarray:
+        """Those of the `faces` (m,) bool with a place in the organ where no tissue is left; looked at every STEP."""
+        start, end = self._edges(faces)
+        a, b, c = self.drawn_in(start), self.drawn_in(end), self.middle[self.owner[start]]
+        longest = np.max([np.linalg.norm(x - y, axis=1) for x, y in ((a, b), (b, c), (c, a))], axis=0, initial=0)
+        parts, found = np.ceil(longest / STEP).astype(int), np.zeros(self.n, bool)
+        for n in np.unique(parts):
+            k = np.flatnonzero(parts == n)
+            for i, j in np.argwhere(np.add.outer(np.arange(n + 1), np.arange(n + 1)) <= n):
+                at = (i * a[k] + j * b[k] + (n - i - j) * c[k]) / max(n, 1)
+                gone = held(at, organ) & ~motion.holds(at)
+                found[self.owner[start[k[gone]]]] = True
+        return found
+
+    def _edges(self, faces) -> tuple[np.ndarray, np.ndarray]:
+        """The corners at which the edges of `faces` (m,) bool start and end."""
+        last = np.append(self.owner[1:] != self.owner[:-1], True)[:len(self.owner)]
+        first = np.flatnonzero(np.append(True, last[:-1])[:len(self.owner)])
+        following = np.arange(1, len(self.owner) + 1)
+        following[last] = first
+        start = np.flatnonzero(faces[self.owner])
+        return start, following[start]

@@ -35,17 +35,28 @@ def principal(D) -> np.ndarray:
 
 
 def rotations(F) -> np.ndarray:
-    """Rotation R (n, 2, 2) of the polar decomposition F = R U of deformation gradients (n, 2, 2)."""
+    """Rotation R (n, d, d) of the polar decomposition F = R U of deformation gradients (n, d, d)."""
     F = np.asarray(F, float)
+    return {2: _turns, 3: _polar}[F.shape[2]](F)
+
+
+def _turns(F) -> np.ndarray:
     angle = np.arctan2(F[:, 1, 0] - F[:, 0, 1], F[:, 0, 0] + F[:, 1, 1])
     c, s = np.cos(angle), np.sin(angle)
     return np.moveaxis(np.array([[c, -s], [s, c]]), -1, 0)
 
 
+def _polar(F) -> np.ndarray:
+    V, _, W = np.linalg.svd(F)
+    V[:, :, 2] *= np.sign(np.linalg.det(V) * np.linalg.det(W))[:, None]  # of tissue inside out, too, no mirroring
+    return V @ W
+
+
 def in_space(F, axes) -> np.ndarray:
-    """Plane gradients (n, 2, 2) as gradients (n, 3, 3) in world RAS; `axes` (3, 3) rows e1, e2, normal, which stays."""
-    whole = np.zeros((len(F), 3, 3))
-    whole[:, :2, :2], whole[:, 2, 2] = F, 1
+    """Gradients (n, d, d) on a grid's axes as gradients (n, 3, 3) in world RAS; `axes` (3, 3) in its rows, of which
+    those beyond d stay."""
+    whole = np.tile(np.eye(3), (len(F), 1, 1))
+    whole[:, :F.shape[2], :F.shape[2]] = F
     return axes.T @ whole @ axes
 
 

@@ -150,3 +150,34 @@ def places(simplex, wanted, maps, own, start):
                         found[n, a] = m[a, 0] * x + m[a, 1] * y + m[a, 2] * z + m[a, 3]
                     n += 1
     return found
+
+
+@njit(cache=True)
+def fill(surface, n1, n2, n3):
+    """Voxels (n1, n2, n3) bool that the triangles `surface` (k, 3, 3) voxels enclose an odd number of times.
+
+    Each triangle is cut by the planes of voxels, and each piece turns over the voxels of a line beyond its crossing.
+    Triangles that share an edge cut it at the same place, so that no line slips through between them.
+    """
+    inside, ends = np.zeros((n1, n2, n3 + 1), np.bool_), np.empty((2, 2))
+    for c in range(len(surface)):
+        x = surface[c]
+        low, high = min(x[0, 0], x[1, 0], x[2, 0]), max(x[0, 0], x[1, 0], x[2, 0])
+        for i in range(max(int(np.ceil(low)), 0), min(int(np.ceil(high)), n1)):
+            found = 0
+            for e in range(3):
+                a, b = (x[e - 1], x[e]) if x[e - 1, 0] < x[e, 0] else (x[e], x[e - 1])
+                if int(np.ceil(a[0])) <= i < int(np.ceil(b[0])):
+                    t = (i - a[0]) / (b[0] - a[0])
+                    ends[found, 0], ends[found, 1] = a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
+                    found += 1
+            p, q = (ends[0], ends[1]) if ends[0, 0] < ends[1, 0] else (ends[1], ends[0])
+            for j in range(max(int(np.ceil(p[0])), 0), min(int(np.ceil(q[0])), n2)):
+                at = p[1] + (j - p[0]) / (q[0] - p[0]) * (q[1] - p[1])
+                k = int(min(max(np.ceil(at), 0), n3))
+                inside[i, j, k] = not inside[i, j, k]
+    for i in range(n1):
+        for j in range(n2):
+            for k in range(1, n3):
+                inside[i, j, k] ^= inside[i, j, k - 1]
+    return inside[:, :, :n3]

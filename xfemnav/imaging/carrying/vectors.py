@@ -3,7 +3,8 @@
 Readers disagree on fields of one slice: ITK takes such a NIfTI for two-dimensional and refuses it, nitransforms drops
 the axis of any, and points on one face of the slice are outside. So the slice is repeated below and above the plane,
 SPREAD thicknesses apart: points half a slice off the plane are inside even for readers that stop at the outer slices'
-centres, and those of the next slice are outside even for ITK, which goes on for half a step.
+centres, and those of the next slice are outside even for ITK, which goes on for half a step. Fields of volumes are as
+they are; their axes must be perpendicular (`frames.volume.upright`), or ITK refuses them.
 """
 
 import gzip
@@ -12,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import SimpleITK as sitk
 
+from xfemnav.imaging.frames.grid import Grid
 from xfemnav.imaging.frames.slices import Slice, to_nifti
+from xfemnav.imaging.frames.volume import Volume
 from xfemnav.imaging.reading.lean import nibabel
 
 SPREAD = 0.6                             # between 1/2 and 2/3
@@ -20,8 +23,19 @@ LPS = np.array([-1.0, -1.0, 1.0])
 KINDS = "resampling", "modeling"         # 3D Slicer's words for fields of new points and of old ones
 
 
-def vector_image(slice: Slice, field) -> sitk.Image:
-    """`field` (n1, n2, 2) mm, plane axes, as an ITK image of vectors: LPS mm, e1, e2 and three slices, float64."""
+def vector_image(frame: Slice | Volume, field) -> sitk.Image:
+    """`field` (n1, ..., d) mm, on the grid's axes, as an ITK image of vectors: LPS mm, float64; of a slice e1, e2 and
+    three slices."""
+    if isinstance(frame, Slice):
+        return _of_slice(frame, field)
+    image = sitk.GetImageFromArray(np.asarray(field, float).transpose(2, 1, 0, 3) * LPS, isVector=True)
+    image.SetOrigin((frame.origin * LPS).tolist())
+    image.SetSpacing(frame.spacing.tolist())
+    image.SetDirection((LPS[:, None] * frame.steps / frame.spacing).ravel().tolist())
+    return image
+
+
+def _of_slice(slice: Slice, field) -> sitk.Image:
     vectors = np.asarray(field, float).swapaxes(0, 1) @ slice.axes[:2]
     vectors *= LPS
     image = sitk.GetImageFromArray(np.broadcast_to(vectors, (3, *vectors.shape)), isVector=True)
@@ -33,19 +47,19 @@ def vector_image(slice: Slice, field) -> sitk.Image:
     return image
 
 
-def write_nrrd(path, slice: Slice, field, kind: str) -> None:
+def write_nrrd(path, frame: Slice | Volume, field, kind: str) -> None:
     """Write `nrrd_bytes` to `path`. Raises OSError."""
-    Path(path).write_bytes(nrrd_bytes(slice, field, kind))
+    Path(path).write_bytes(nrrd_bytes(frame, field, kind))
 
 
-def nrrd_bytes(slice: Slice, field, kind: str) -> bytes:
+def nrrd_bytes(frame: Slice | Volume, field, kind: str) -> bytes:
     """`vector_image` as .nrrd, float32, of a `kind` of KINDS; the same field gives the same bytes.
 
     Made in memory: teem, which writes NRRD for ITK, says nothing of a disk that is full at a file's last bytes.
     """
     if kind not in KINDS:
         raise ValueError(f"kind is {kind!r}, wanted one of {KINDS}")
-    image = vector_image(slice, field)
+    image = vector_image(frame, field)
     vectors = sitk.GetArrayViewFromImage(image).astype("<f4")
     axes = np.reshape(image.GetDirection(), (3, 3)).T * np.array(image.GetSpacing())[:, None]
     origin, *columns = ("({},{},{})".format(*place) for place in (image.GetOrigin(), *axes.tolist()))
@@ -65,12 +79,26 @@ displacement field type:={kind}
     return header.encode() + gzip.compress(vectors.tobytes(), compresslevel=1, mtime=0)
 
 
-def field_nifti(slice: Slice, field) -> nibabel.Nifti1Image:
-    """`field` (n1, n2, 2) mm, plane axes, as NIfTI of intent 1007 and shape (i, j, k, 1, 3), float32.
+def field_nifti(frame: Slice | Volume, field) -> nibabel.Nifti1Image:
+    """`field` (n1, ..., d) mm, on the grid's axes, as NIfTI of intent 1007 and shape (i, j, k, 1, 3), float32.
 
-    Pixels and storage order are the input's, with three slices; vectors are LPS mm. The normal of the slice is
+    Pixels and storage order are the input's, of a slice three of it; vectors are LPS mm. The normal of the slice is
     perpendicular to it also where the input's slices are stacked askew, which ITK would refuse.
     """
+    if isinstance(frame, Slice):
+        data, affine = _thrice(frame, field)
+    else:
+        data, affine = (field * LPS)[:, :, :, None].astype(np.float32), frame.affine
+    image = nibabel.Nifti1Image(data, affine)
+    image.set_sform(affine, frame.frame_code or 1)
+    image.set_qform(affine, frame.frame_code or 1)
+    image.header.set_xyzt_units("mm")
+    image.header.set_intent("vector")
+    return image
+
+
+def _thrice(slice: Slice, field):
+    """The vectors (i, j, k, 1, 3) of a slice's field, LPS mm, in three slices, and where they lie (4, 4)."""
     vectors = slice.to_storage(np.asarray(field, float) @ slice.axes[:2] * LPS)
     data = np.repeat(vectors, 3, axis=slice.array_axes[2])[:, :, :, None].astype(np.float32)
     signs = [-1.0 if flipped else 1.0 for flipped in slice.flipped]
@@ -80,21 +108,16 @@ def field_nifti(slice: Slice, field) -> nibabel.Nifti1Image:
     affine = np.eye(4)
     affine[:3, list(slice.array_axes)] = columns
     affine[:3, 3] = slice.to_world(first[None])[0] - columns[:, 2]
-    image = nibabel.Nifti1Image(data, affine)
-    image.set_sform(affine, slice.frame_code or 1)
-    image.set_qform(affine, slice.frame_code or 1)
-    image.header.set_xyzt_units("mm")
-    image.header.set_intent("vector")
-    return image
+    return data, affine
 
 
-def vector_nifti(slice: Slice, vectors) -> nibabel.Nifti1Image:
-    """`vectors` (n1, n2, 3) mm, world RAS, as an image of shape (i, j, k, 1, 3) on the input's grid, one slice.
+def vector_nifti(frame: Grid, vectors) -> nibabel.Nifti1Image:
+    """`vectors` (n1, ..., 3) mm, world RAS, as an image of shape (i, j, k, 1, 3) on the input's grid.
 
     For nibabel and numpy. Intent 1007 (VECTOR) is read as LPS, so x and y are stored with the other sign; 1006 would
     mean RAS, but ITK's readers and writers do not agree on it.
     """
-    parts = [to_nifti(slice, sign * np.asarray(vectors)[..., i]) for i, sign in enumerate(LPS)]
+    parts = [to_nifti(frame, sign * np.asarray(vectors)[..., i]) for i, sign in enumerate(LPS)]
     data = np.stack([np.asarray(part.dataobj) for part in parts], axis=-1)[:, :, :, None, :]
     image = nibabel.Nifti1Image(data, parts[0].affine, parts[0].header)
     image.header.set_intent("vector")

@@ -11,9 +11,8 @@ from xfemnav.imaging.carrying.lattice import SAME
 SPLINE_REACH = 16  # voxels beyond which a voxel no longer tells in a cubic spline: it falls by .27 a voxel, to 1e-9
 
 
-def sample_volume(values, matrix, shift, places, wanted, interp: str,
-                  reach: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
-    """`values` (ni, nj, nk, nc) at the `wanted` (n,) of the `places` (n, d) mm, and which of them have a voxel.
+def sample_volume(values, matrix, shift, places, interp: str, reach: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """`values` (ni, nj, nk, nc) at `places` (n, d) mm, and which of them have a voxel.
 
     A place is at voxel `matrix` (3, d) place + `shift` (3,). Outermost voxels go on for `reach`, by default half their
     size; along an axis of one voxel there is no end, for a single slice is taken in its plane. Returns (n, nc), 0 where
@@ -22,23 +21,23 @@ def sample_volume(values, matrix, shift, places, wanted, interp: str,
     places, shape = np.ascontiguousarray(places, float), np.array(values.shape[:3])
     reach = np.where(shape == 1, np.inf, reach)
     out, seen = np.zeros((len(places), values.shape[3])), np.ones(len(places), np.bool_)
-    where = shape - 1.0, wanted, matrix, shift, reach, places, tuple(range(places.shape[1]))
+    where = shape - 1.0, matrix, shift, reach, places, tuple(range(places.shape[1]))
     if interp == "linear":
         _linear(out, seen, values, *where)
     elif interp == "nearest":
         _nearest(out, seen, values, *where)
     elif interp == "cubic":
-        _cubic(out, seen, *_spline(values, matrix, shift, wanted, places), *where)
+        _cubic(out, seen, *_spline(values, matrix, shift, places), *where)
     else:
         raise ValueError(f"interp is {interp!r}, wanted linear, cubic or nearest")
     return out, seen
 
 
-def _spline(values, matrix, shift, wanted, places):
+def _spline(values, matrix, shift, places):
     """Coefficients (mi, mj, mk, nc) of the interpolating cubic B-spline of `values` about the places, and the voxel
     (3,) of the first one. Beyond the outermost voxels the values go on unchanged; an axis of length 1 stays.
     """
-    at, last = places[wanted] @ matrix.T + shift, np.array(values.shape[:3]) - 1
+    at, last = places @ matrix.T + shift, np.array(values.shape[:3]) - 1
     low = np.clip(np.floor(at.min(axis=0, initial=0)).astype(int) - SPLINE_REACH, 0, last)
     high = np.clip(np.ceil(at.max(axis=0, initial=0)).astype(int) + SPLINE_REACH, 0, last) + 1
     from scipy.ndimage import spline_filter1d
@@ -78,22 +77,21 @@ def _voxel(place, matrix, shift, ends, reach, axes):
 
 
 @njit(cache=True)
-def _nearest(out, seen, values, ends, wanted, matrix, shift, reach, places, axes):
+def _nearest(out, seen, values, ends, matrix, shift, reach, places, axes):
     """As `_linear`, with the value of the nearest voxel."""
     for p in range(len(places)):
-        if wanted[p]:
-            x, y, z = _voxel(places[p], matrix, shift, ends, reach, axes)
-            if x + y + z != x + y + z:
-                seen[p] = False
-                continue
-            i, j, k = int(x + 0.5), int(y + 0.5), int(z + 0.5)
-            for c in range(out.shape[1]):
-                out[p, c] = values[i, j, k, c]
+        x, y, z = _voxel(places[p], matrix, shift, ends, reach, axes)
+        if x + y + z != x + y + z:
+            seen[p] = False
+            continue
+        i, j, k = int(x + 0.5), int(y + 0.5), int(z + 0.5)
+        for c in range(out.shape[1]):
+            out[p, c] = values[i, j, k, c]
 
 
 @njit(cache=True)
-def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places, axes):
-    """Write trilinear `values` (ni, nj, nk, nc) at the `wanted` (n,) of the `places` (n, d) mm to `out` (n, nc).
+def _linear(out, seen, values, ends, matrix, shift, reach, places, axes):
+    """Write trilinear `values` (ni, nj, nk, nc) at `places` (n, d) mm to `out` (n, nc).
 
     A place is at voxel `matrix` (3, d) place + `shift` (3,). The last voxels are `ends` (3,), and the outermost ones go
     on for `reach` (3,). Places that are not `seen` (n,) have no voxel and stay.
@@ -103,8 +101,6 @@ def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places, axes)
     flat, one = values.ravel(), np.uint64(values.shape[2]) * nc
     two, none = np.uint64(values.shape[1]) * one, np.uint64(0)
     for p in range(len(places)):
-        if not wanted[p]:
-            continue
         x, y, z = _voxel(places[p], matrix, shift, ends, reach, axes)
         if x + y + z != x + y + z:
             seen[p] = False
@@ -128,13 +124,11 @@ def _linear(out, seen, values, ends, wanted, matrix, shift, reach, places, axes)
 
 
 @njit(cache=True)
-def _cubic(out, seen, spline, first, ends, wanted, matrix, shift, reach, places, axes):
+def _cubic(out, seen, spline, first, ends, matrix, shift, reach, places, axes):
     """As `_linear`, with the cubic B-spline of coefficients `spline` (mi, mj, mk, nc) from voxel `first` (3,) on."""
     taps = [4 if end > 0 else 1 for end in ends]
     weight, start, at = np.ones((3, 4)), np.zeros(3, np.int64), np.zeros(3)
     for p in range(len(places)):
-        if not wanted[p]:
-            continue
         at[0], at[1], at[2] = _voxel(places[p], matrix, shift, ends, reach, axes)
         if at.sum() != at.sum():
             seen[p] = False

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from xfemnav.imaging.carrying.lattice import ON_EDGE, SAME
-from xfemnav.imaging.carrying.solid import SolidPullBack, pull_back_in_space
+from xfemnav.imaging.carrying.solid import SolidPullBack, enclosed_in_space, pull_back_in_space
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,10 +151,13 @@ def covered(simplices, origin, spacing, shape) -> np.ndarray:
 
 
 def enclosed(outline, origin, spacing, shape) -> np.ndarray:
-    """Pixels (n1, n2) bool whose centre is inside the closed loop `outline` (k, 2) mm; the grid as in `pull_back`.
+    """Pixels (n1, ...) bool whose centre is inside the closed `outline`; the grid as in `pull_back`.
 
-    Where a loop crosses itself, inside is what it goes around an odd number of times.
+    It is a loop (k, 2) mm, in space closed triangles (k, 3, 3) mm. Where it crosses itself, inside is what it goes
+    around an odd number of times.
     """
+    if len(shape) == 3:
+        return enclosed_in_space(outline, origin, spacing, shape)
     return _fill((np.asarray(outline, float) - origin) / spacing, *shape)
 
 

@@ -4,6 +4,8 @@ from typing import Protocol
 
 import numpy as np
 
+SAME_PIXEL = 0.05  # pixels apart up to which two grids are one: files round their affines
+
 
 class Grid(Protocol):
     """`values` on a grid of d axes: their `spacing` (d,) mm; `axes` (3, 3) of its points, unit vectors in world RAS as
@@ -25,6 +27,20 @@ class Grid(Protocol):
     def from_world(self, points) -> tuple[np.ndarray, np.ndarray]:
         """Points (n, d) of world points (n, 3) RAS mm, and how far (n,) mm these are off the grid."""
 
+    def to_pixels(self, points) -> np.ndarray:
+        """Pixel coordinates (n, d) of points (n, d)."""
+
+    def padded(self, before, after) -> "Grid":
+        """The grid with so many pixels (d,) more along each axis, on either side."""
+
+    @property
+    def placed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix (3, d) and shift (3,) that take points to the world."""
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Places (2^d, d) mm of the values at the grid's corners."""
+
     def pixel_centres(self) -> np.ndarray:
         """Places (..., d) mm of all values."""
 
@@ -33,3 +49,13 @@ class Grid(Protocol):
 
     def header(self):
         """A NIfTI header with the frames of the image's file."""
+
+
+def by(numbers) -> str:
+    """Numbers of a message, as "256 x 256"."""
+    return " x ".join(f"{x:.4g}" for x in numbers)
+
+
+def at(point) -> str:
+    """A place in a message, mm."""
+    return ", ".join(f"{x:.2f}" for x in point)

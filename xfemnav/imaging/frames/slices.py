@@ -8,14 +8,15 @@ Voxel indices that a user gives (`index`, space 'voxel') count from 0 in the fil
 and 3D Slicer show them. What is given in mm does not depend on the order.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.frames.grid import Grid
+from xfemnav.imaging.frames.grid import SAME_PIXEL, Grid, at, by
+from xfemnav.imaging.frames.volume import Volume, values_in
 from xfemnav.imaging.reading.gate import Image
 from xfemnav.imaging.reading.lean import nibabel
 from xfemnav.imaging.reading.nifti_frames import OTHER, Frames, from_voxel, plain_header
@@ -24,7 +25,6 @@ PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # wo
 SKEW = 1e-3  # cosine between e1 and e2 up to which an affine is rounded, not sheared: .05 mm in 100 mm
 FLAT = 0.1  # mm off a plane up to which drawn points lie in it
 BESIDE = 0.75  # pixels: an outline of pixels that touch the image's border lies nearer to it, any other one farther
-SAME_PIXEL = 0.05  # pixels apart up to which two grids are one: files round their affines
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +101,28 @@ class Slice:
             return self.frames.header(self.array_axes[2], self.index)
         return plain_header(from_voxel(self.affine, self.array_axes[2], self.index), self.frame_code)
 
+    def to_pixels(self, points) -> np.ndarray:
+        """Pixel coordinates (n, 2) of plane points (n, 2)."""
+        return (np.asarray(points, float) - self.origin) / self.spacing
+
+    def padded(self, before, after) -> "Slice":
+        """The slice with so many pixels (2,) of 0 more along e1 and e2, on either side."""
+        affine = self.affine.copy()
+        for k in (0, 1):
+            affine[:3, 3] -= (after if self.flipped[k] else before)[k] * affine[:3, self.array_axes[k]]
+        return replace(self, values=np.pad(self.values, np.column_stack([before, after])),
+                       origin=self.origin - before * self.spacing, affine=affine, frames=None)
+
+    @property
+    def placed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix (3, 2) and shift (3,) that take plane points to the world."""
+        return self.axes[:2].T, self.offset * self.axes[2]
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Centres (4, 2) of the pixels at the slice's corners, plane mm."""
+        return self.pixel_centres()[[0, 0, -1, -1], [0, -1, 0, -1]]
+
     @property
     def lattice(self) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
         """Where the pixels are: origin, spacing, and how many along e1 and e2."""
@@ -151,7 +173,7 @@ def _plane(image: Image, nearest, plane: str | None) -> str:
     shape = image.values.shape
     single = [name for name, world_axes in PLANES.items() if shape[nearest[world_axes[2]]] == 1]
     if len(single) > 1:
-        raise XfemnavError("E105", f"{image.name} is a line of {_by(shape)} voxels, not a slice.")
+        raise XfemnavError("E105", f"{image.name} is a line of {by(shape)} voxels, not a slice.")
     if plane is not None and single and plane != single[0]:
         raise XfemnavError("E120", f"{image.name} is one {single[0]} slice, no {plane} one; leave out ⟦plane⟧.")
     return plane or (single[0] if single else "axial")
@@ -206,7 +228,7 @@ def mapped(slice: Slice, points, move) -> np.ndarray:
     return (slice.to_world(move(plane)) + distance[:, None] * slice.axes[2]).reshape(np.shape(points))
 
 
-def warn_of_slice(points, name: str, slice: Slice) -> None:
+def warn_of_slice(points, name: str, slice: Grid) -> None:
     """W132 where `points` (n, 3) RAS mm of a file, or of none (""), lie off the slice."""
     distance = np.abs(slice.from_world(points)[1])
     off = distance > slice.thickness / 2 * (1 + 1e-6)
@@ -275,19 +297,21 @@ def to_nifti(frame: Grid, values, dtype=np.float32) -> nibabel.Nifti1Image:
     return nibabel.Nifti1Image(data, header.get_best_affine(), header)
 
 
-def values_on(image: Image, like: Slice, *, resample: str | None = None) -> np.ndarray:
-    """Values (n1, n2) of `image`, a slice or a volume in any storage order, at the pixels of `like`.
+def values_on(image: Image, like: Slice | Volume, *, resample: str | None = None) -> np.ndarray:
+    """Values (n1, ...) of `image`, a slice or a volume in any storage order, at the pixels of `like`.
 
     Raises E204 when its grid is another one and `resample` is not "nearest" or "linear" (zero outside the image).
     """
+    if isinstance(like, Volume):
+        return values_in(image, like, resample=resample)
     to_voxels = np.linalg.inv(image.affine)
     voxels = like.to_world(like.pixel_centres()) @ to_voxels[:3, :3].T + to_voxels[:3, 3]
     nearest = np.rint(voxels).astype(int)
     if resample is None and not _same_grid(voxels, nearest, image):
         size, first = np.linalg.norm(image.affine[:3, :3], axis=0), image.affine[:3, 3]
-        raise XfemnavError("E204", f"grids differ: {image.name} has {_by(image.values.shape)} voxels of {_by(size)} mm,"
-                                   f" the first at ({_at(first)}); the slice has {_by(like.values.shape)} pixels of "
-                                   f"{_by(like.spacing)} mm, the first at ({_at(like.to_world(like.origin))}). "
+        raise XfemnavError("E204", f"grids differ: {image.name} has {by(image.values.shape)} voxels of {by(size)} mm,"
+                                   f" the first at ({at(first)}); the slice has {by(like.values.shape)} pixels of "
+                                   f"{by(like.spacing)} mm, the first at ({at(like.to_world(like.origin))}). "
                                    f"{_by_other_frames(image, like)}Resample it, or give ⟦resample_mask=True⟧.")
     if resample is None:
         return image.values[tuple(np.moveaxis(nearest, -1, 0))]
@@ -310,14 +334,6 @@ def _by_other_frames(image: Image, like: Slice) -> str:
             if _same_grid(voxels, np.rint(voxels).astype(int), image):
                 return f"By the {wanted} of their headers they are one grid: ⟦nifti_frame={wanted}⟧. "
     return ""
-
-
-def _by(numbers) -> str:
-    return " x ".join(f"{x:.4g}" for x in numbers)
-
-
-def _at(point) -> str:
-    return ", ".join(f"{x:.2f}" for x in point)
 
 
 def _same_grid(voxels: np.ndarray, nearest: np.ndarray, image: Image) -> bool:

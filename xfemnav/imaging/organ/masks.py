@@ -72,9 +72,9 @@ def filled(mask: np.ndarray) -> np.ndarray:
 
 
 def touched(mask: np.ndarray) -> np.ndarray:
-    """Pixels (n1, n2) of a mask and those that touch them, also across a corner."""
-    for axis in (0, 1):
-        wide = np.pad(mask, [(1, 1) if k == axis else (0, 0) for k in (0, 1)])
+    """Pixels (n1, ...) of a mask and those that touch them, also across a corner."""
+    for axis in range(mask.ndim):
+        wide = np.pad(mask, [(1, 1) if k == axis else (0, 0) for k in range(mask.ndim)])
         mask = np.logical_or.reduce([np.take(wide, range(k, k + mask.shape[axis]), axis) for k in range(3)])
     return mask
 
