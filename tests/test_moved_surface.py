@@ -54,3 +54,14 @@ def test_where_tissue_was_taken_out_at_the_surface_the_resting_surface_goes_on()
     shift = np.array([0.1, 0.05, -0.4])
     sunk = enclosed(moved_surface(scene.outline, rest, rest + shift), *LATTICE)
     assert (sunk | ~covered(left + shift, *LATTICE)).all()
+
+
+def test_between_uneven_lips_the_surface_passes_through_their_middle():
+    scene = Opened()
+    rest, moved = scene.rim
+    raised = moved.copy()    # the lip at large x alone, by .8 mm at the top
+    height = np.clip(rest[..., 2] - FRONT, 0, None) / (N - FRONT)
+    raised[..., 2] += 0.8 * (rest.mean(axis=1)[:, None, 0] > WALL) * height
+    surface, y = moved_surface(scene.outline, rest, raised), 1.3
+    probes = np.array([[WALL, y, N + 0.4 - 0.05], [WALL, y, N + 0.4 + 0.05], [3.5, y, N + 0.75], [0.2, y, N + 0.05]])
+    assert_array_equal(within(probes, surface), [True, False, True, False])

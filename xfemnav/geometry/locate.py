@@ -97,6 +97,10 @@ def _fit(x, y, corners):
 def _fit_solid(point, corners):
     """`_fit` of a point (3,) to a tetrahedron (4, 3)."""
     p, a, b, c, d = triple(point), triple(corners[0]), triple(corners[1]), triple(corners[2]), triple(corners[3])
+    for i in range(3):
+        low, high = min(min(a[i], b[i]), min(c[i], d[i])), max(max(a[i], b[i]), max(c[i], d[i]))
+        if p[i] < low - LIP or p[i] > high + LIP:
+            return -np.inf    # too far for anything
     lowest, largest = np.inf, 0.0
     six = dot(cross(minus(b, a), minus(c, a)), minus(d, a))
     if six == 0:
@@ -110,7 +114,7 @@ def _fit_solid(point, corners):
     distance = 0.0
     if lowest < 0:
         if lowest < -LIP:
-            return lowest    # farther than from the plane of a face: too far for anything
+            return lowest    # farther than from the plane of a face
         distance = np.inf
         for u, v, w in ((b, c, d), (a, c, d), (a, b, d), (a, b, c)):
             off = minus(p, nearest_on(p, u, v, w))
