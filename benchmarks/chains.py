@@ -5,6 +5,7 @@ embedded, its nodes split, scikit-fem's stiffness (linear or quadratic), scipy's
 """
 
 from dataclasses import replace
+from functools import partial
 
 import gmsh
 import numpy as np
@@ -17,6 +18,7 @@ from benchmarks.reference.mesh import SplitMesh, split
 from benchmarks.reference.mesh import _network as network
 from xfemnav.mechanics.conditions.constraints import eliminate
 from xfemnav.mechanics.conditions.problem import Problem
+from xfemnav.mechanics.solving.factor import factor
 from xfemnav.mechanics.solving.minimise import minimise
 from xfemnav.mechanics.solving.solution import scaled_basis
 from xfemnav.mechanics.tissue.elasticity import stiffness
@@ -36,7 +38,8 @@ def displaced(problem: Problem) -> np.ndarray:
     K = (stiffness(problem.space, problem.material) + problem.springs).tocsc()
     basis = scaled_basis(problem, K)
     U0, T = eliminate(replace(problem.constraints, C=problem.constraints.C @ basis))
-    found = minimise(K, problem.load, basis @ U0, (basis @ T).tocsc(), problem.contacts, semidefinite=True)
+    found = minimise(K, problem.load, basis @ U0, (basis @ T).tocsc(), problem.contacts,
+                     by=partial(factor, semidefinite=True))
     return found.U.reshape(-1, 2)
 
 

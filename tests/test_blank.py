@@ -117,8 +117,8 @@ def test_results_and_sessions_are_as_the_run(runs, name, tmp_path):
 def test_the_figure_shows_what_the_file_has(runs, tmp_path, monkeypatch):
     """The panel of the updated slice: the grey of the cavity is that of the file's value in the window."""
     drawn = []
-    panels = figure._draw_grey
-    monkeypatch.setattr(figure, "_draw_grey", lambda panel, slice, values, window: (
+    panels = figure.draw_grey
+    monkeypatch.setattr(figure, "draw_grey", lambda panel, slice, values, window: (
         drawn.append((np.array(values), window)), panels(panel, slice, values, window))[1])
     for name in ("CT", "inverted"):
         drawn.clear()

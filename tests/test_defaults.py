@@ -13,7 +13,7 @@ from test_house import ROOT, SOURCES
 from xfemnav.mechanics.rules import LipRules, Retraction, Rules, Skull, Solid
 from xfemnav.pipeline.asking.parameters import ReadParams
 from xfemnav.pipeline.asking.scenario import Scenario
-from xfemnav.pipeline.asking.settings import OF_COMPANIONS, TABLE
+from xfemnav.pipeline.asking.settings import OF_COMPANIONS, TABLE, SolidDefaults
 from xfemnav.pipeline.running.apply import Choices
 from xfemnav_cli import tools
 from xfemnav_cli.run import run
@@ -35,6 +35,7 @@ OTHERS = {
     "geometry/plane/sizing.py: SizeField corridor_mm",         # a field without a corridor
     "imaging/carrying/warp.py: update fill",                   # an image of known background
     "pipeline/running/result.py: _updated interp",             # labels
+    *(f"pipeline/asking/settings.py: SolidDefaults {name}" for name in SolidDefaults._fields),  # of volumes
 }
 
 

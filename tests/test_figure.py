@@ -73,7 +73,7 @@ def test_a_pixel_is_drawn_at_its_place_in_the_plane(run):
     values = np.zeros(plane.values.shape)
     values[50, 10] = 1.0
     panel = Figure().subplots()
-    figure._draw_grey(panel, plane, values, (0, 1))
+    figure.draw_grey(panel, plane, values, (0, 1))
     image = panel.images[0]
     row, column = np.argwhere(np.asarray(image.get_array()) == 1)[0]
     west, east, south, north = image.get_extent()
@@ -96,7 +96,7 @@ def axes_of(plane):
 def test_lips_are_named_by_the_patients_sides_that_they_lie_towards(travel, left, letters, inverted):
     """'left' when walking from the mouth to the tip is `left`; each name stands on its own side on the screen too."""
     panel = Figure().subplots()
-    figure._look_at(panel, np.array([[-1.0, -1.0], [1.0, 1.0]]), inverted)
+    figure.look_at(panel, np.array([[-1.0, -1.0], [1.0, 1.0]]), inverted)
     figure._name_lips(panel, np.array([(0, 0), travel], float), np.eye(3), 10, "black", "white")
     offsets = {text.get_text(): np.array(text.xyann) for text in panel.texts}
     shown = np.array(left) * ([-1, 1] if inverted else 1)
@@ -172,7 +172,7 @@ def test_inset_keeps_away_from_every_cut():
     assert x < 0.5 and y < 0.5
     x, y = figure._emptiest_corner(panel, box, lines(upper_left, cut((10, 30), (30, 10)), lower_right))
     assert x > 0.5 and y > 0.5
-    figure._look_at(panel, box, True)
+    figure.look_at(panel, box, True)
     x, y = figure._emptiest_corner(panel, box, lines(upper_left, cut((10, 30), (30, 10)), lower_right))
     assert x < 0.5 and y > 0.5
 
@@ -181,7 +181,7 @@ def test_grey_window_holds_the_organ_and_a_background_that_is_near(run):
     plane, mask = run[:2]
 
     def window(values):
-        return figure._window(SimpleNamespace(values=values), mask)
+        return figure.window(SimpleNamespace(values=values), mask)
 
     low, high = np.percentile(plane.values[mask], [0.5, 99.5])
     np.testing.assert_allclose(window(plane.values), (0, high))

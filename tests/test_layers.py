@@ -30,6 +30,7 @@ HOMES = {
     "nibabel": {"imaging"},
     "SimpleITK": {"imaging"},
     "skimage": {"imaging"},
+    "pyamg": {"mechanics"},
     "pydicom": {"imaging"},
     "h5py": {"imaging"},
     "meshio": {"pipeline", "imaging"},  # imaging: the self-test of surfaces alone, which other programs must read

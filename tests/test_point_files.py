@@ -322,7 +322,7 @@ def test_a_table_has_no_names(tmp_path):
     assert len(read_points(path, name="targets").points) == 2
 
 
-@pytest.mark.parametrize("wrong", [{"kind": "Plane"}, {"points": [[0, 0, np.nan]]}, {"points": [[0, 0]]},
+@pytest.mark.parametrize("wrong", [{"kind": "Sphere"}, {"points": [[0, 0, np.nan]]}, {"points": [[0, 0]]},
                                    {"labels": ()}, {"columns": {"t": ("1", "2")}}])
 def test_a_point_set_holds_what_it_says(wrong):
     with pytest.raises(ValueError):

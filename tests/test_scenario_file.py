@@ -31,12 +31,20 @@ EVERYTHING = {
     "load": {"gravity": [0.0, -1.0], "pressure": [{"name": "press", "on": "tumour", "kpa": 0.5}]},
     "step": [{"name": "open", "acts": ["one", "gravity"]}, {"name": "more", "acts": ["two"], "ends": ["gravity"]}],
 }
+#: What keys of a volume stand in.
+IN_SPACE = {
+    "xfemnav": 1, "image": "head.nii.gz", "dimension": 3, "warp": {}, "boundary": {},
+    "cut": [{"name": "one", "points": [[0, 0, 1], [1, 1.5, 1]], "towards": [0, 0, -9]}],
+    "retract": [{"cut": "one", "side": "left", "normal_mm": 2.0}],
+}
+OF_SPACE = ("dimension", "towards", "depth_mm", "blade_along", "transform_spacing_mm")
 #: Keys of which one alone is given; values where the schema says less than the checks; what a value needs beside it.
 ONE_OF = (("points", "markups"), ("outline", "markups", "label", "mask"), ("index", "position_mm"),
           ("displacement_mm", "normal_mm", "force_mN_per_mm"))
 VALUES = {"blade": [0.1, 0.7], "gravity": [0.6, 0.8], "poisson": 0.25, "points": [[0.1, 1e-7], [1e8, -3]],
           "outline": [[0, 0], [2, 0], [2, 2]], "corridor": [[0, 0], [5, 5]], "spacing": [0.5, 2.0], "acts": ["one"],
-          "ends": ["one left"], "on": "outline", "cut": "one", "label": [1, 4]}
+          "ends": ["one left"], "on": "outline", "cut": "one", "label": [1, 4], "dimension": 3,
+          "towards": [1.5, 2.5, 1e-7], "blade_along": [0.1, 0.7], "craniotomies": [[0.5, 1.5]]}
 CALLED = (("name", ("cut", 0)), ("name", ("resect", 0)))  # others name them, so they have names in EVERYTHING
 NEEDS = {"hold_tip": {"solve": {"lip_constraint": "pointwise"}}}
 
@@ -52,7 +60,7 @@ def leaves():
                 sections.append(((*place, name, *where), schema["$defs"][inner]))
         for name, item in plain_keys(section).items():
             if name != "xfemnav" and (name, place) not in CALLED:
-                yield place, name, values(name, item, VALUES if place else {})
+                yield place, name, values(name, item, VALUES if place or name in OF_SPACE else {})
 
 
 def values(name: str, item: dict, own: dict) -> list:
@@ -71,7 +79,7 @@ def values(name: str, item: dict, own: dict) -> list:
 
 def raw_with(place: tuple, name: str, value) -> dict:
     """A scenario with everything in it, and this value at its place."""
-    raw = copy.deepcopy(EVERYTHING)
+    raw = copy.deepcopy(IN_SPACE if name in OF_SPACE else EVERYTHING)
     for section, keys in NEEDS.get(name, {}).items():
         raw[section] |= keys
     section = raw
@@ -101,12 +109,14 @@ def test_every_key_is_read_back(place, name, choices):
 
 # Through configure: the same parameters of every stage ----------------------------------------------------------------
 
+MINIMAL_IN_SPACE = {"dim": 3, "cut": ("-60,10,5 -15,5,5",), "towards": "0,0,0", "opening_mm": 4.0}
 MINIMAL = {"cut": ("-60,10 -15,5",), "opening_mm": 4.0}
 #: Flags of their own form, and what some need beside them; all others get a value by their type.
 OWN = {"cut": ("-60,10 -15,5", "1,2 3,4"), "left": "3.5,1", "right": "-3.5,-1", "lip_force": ("left=0.1,-70",),
        "opening_mm": 0.3, "blade": "0.1,0.7", "internal": True, "resect": ("label=1,4", "0,0 2,0 2,2"),
        "markup": "second", "companion": ("tensor=d.nii.gz", "x_dseg.nii.gz"), "gravity": "0.6,0.8",
-       "spacing": "0.5,2", "poisson": 0.25, "points": (Path("a.csv"), Path("b.csv")), "nan": -0.5}
+       "spacing": "0.5,2", "poisson": 0.25, "points": (Path("a.csv"), Path("b.csv")), "nan": -0.5, "dim": 3,
+       "towards": "0.5,1,-20", "blade_along": "0.1,0.7"}
 BESIDE = {"resect": {"labels": Path("l.nii.gz")}, "axes": {"companion": ("vector=v.nii.gz",)},
           "tensor_order": {"companion": ("tensor=v.nii.gz",)}, "hold_tip": {"lip_constraint": "pointwise"},
           "mesh": {}, "boundary_displacement": {}}
@@ -155,7 +165,7 @@ def test_every_flag_is_read_back(home, name):
     """Of the command: a flag that is added to it is here of itself."""
     alone = {"left", "right", "lip_force", "opening_mm"} & {name}
     for value in flag_values(name):
-        base = {"cut": MINIMAL["cut"]} if alone else MINIMAL
+        base = MINIMAL_IN_SPACE if name in (*OF_SPACE, "dim") else {"cut": MINIMAL["cut"]} if alone else MINIMAL
         config = configure(home / "head.nii.gz", flags=base | BESIDE.get(name, {}) | {name: value})
         again = written_again(config, home / "study" / "out")
         assert settings_of(again) == settings_of(config)

@@ -76,7 +76,7 @@ def test_beside_a_sheet_there_are_a_distance_and_a_side(seed):
 def test_the_nearest_place_on_a_triangle_is_inside_on_an_edge_or_a_corner():
     sheet = np.array([[[0.0, 0, 0], [4, 0, 0], [0, 4, 0]]])
     points = np.array([[1.0, 1, 2], [2, -3, 0], [5, 5, -1], [-3, -4, 0], [1, 1, 0]])
-    place, distance, left = nearest_on_sheet(points, sheet)
+    _, place, distance, left = nearest_on_sheet(points, sheet)
     assert_allclose(place, [[1, 1, 0], [2, 0, 0], [2, 2, 0], [0, 0, 0], [1, 1, 0]], atol=1e-12)
     assert_allclose(distance, [2, 3, np.sqrt(19), 5, 0], atol=1e-12)
     assert_array_equal(left[[0, 2]], [True, False])

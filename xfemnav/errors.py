@@ -74,6 +74,10 @@ FAULTS: dict[str, Fault] = {
     "E204": Fault(65, "mask and image have different grids",
                   "The shapes or affines differ, so pixels do not correspond.",
                   "Resample the mask yourself, or give ⟦resample_mask=True⟧."),
+    "E205": Fault(65, "volume with its skull, without a mask",
+                  "The brain of a volume is not looked for in a head: it is taken from a mask, or from a stripped image.",
+                  "Make a mask with SynthStrip, HD-BET or ANTs and give it: ⟦mask=FILE⟧; or say that it is stripped: "
+                  "⟦skull_on=stripped⟧."),
     "E206": Fault(65, "template cannot be used", "`svc` needs a template image and its mask on one grid.",
                   "Give both ⟦template=IMG⟧ and ⟦template_mask=FILE⟧."),
     "E207": Fault(65, "element size does not fit the organ",

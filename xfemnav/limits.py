@@ -18,7 +18,9 @@ RESIDUAL = Limit(1e-8, "", "relative residual of the equations; with more there 
 
 INVERTED = Limit(1.0, "mm²", "tissue turned inside out; more is not trusted (E401)")
 # Linear strains grow as r^-1/2 at a tip, so a speck of tissue there is inverted at any opening: this much is no news.
-FOLDED_NOTICE = Limit(0.01, "mm²", "tissue turned inside out (W402)")
+FOLDED_NOTICE = {2: Limit(0.01, "mm²", "tissue turned inside out (W402)"),
+                 3: Limit(0.05, "mm³", "tissue turned inside out, in a volume (W402)")}
+INVERTED_MM3 = Limit(5.0, "mm³", "tissue turned inside out, in a volume; more is not trusted (E401)")
 
 APART = Limit(0.1, "mm", "distance in the organ between the two frames of a header (W114)")
 # A mesh coarser than this tells nothing of what is thin: wider strips of tissue are real.
@@ -31,6 +33,10 @@ NO_OVERLAP = Limit(0.0, "mm²", "tissue that lies twice (W403)")
 # The outlines of two pieces that touch may both hold a pixel's centre.
 OVERLAP = Limit(2.0, "mm²", "tissue that lies twice, or two pixels where they are larger; more is not trusted (E401)")
 
+OVERLAP_MM3 = Limit(20.0, "mm³", "tissue that lies twice, in a volume, or two voxels where they are larger; more is "
+                                 "not "
+                                 "trusted (E401)")
+
 SMALL_STRAIN = Limit(0.1, "", "strain that 1 % of the tissue exceeds: small strains are at their end (a look)")
 STRAIN = Limit(0.3, "", "strain that 1 % of the main tissue exceeds: no model here describes it (W406)")
 
@@ -42,6 +48,8 @@ TURNING = Limit(1.0, "mm", "misplacement of the main tissue that turns, by small
 # theta: 2 at 45 degrees. At 3 it would have to turn by more than the sine of any angle: it is no motion of a solid.
 RESIZED_TIMES, TRIPLED_TIMES = 2.0, 3.0
 RESIZED = Limit(10.0, "mm²", "main tissue whose area more than doubles or halves (W407)")
+RESIZED_MM3 = Limit(100.0, "mm³", "main tissue whose volume more than doubles or halves (W407)")
+TRIPLED_MM3 = Limit(10.0, "mm³", "main tissue whose volume more than trebles; more is not trusted (E401)")
 TRIPLED = Limit(1.0, "mm²", "main tissue whose area more than trebles; more is not trusted (E401)")
 
 # Surfaces shift by up to 20 to 25 mm in the literature.
@@ -74,6 +82,8 @@ SHRED_WIDTH_HELD = Limit(3.0, "mm", "smallest width of tissue, two elements at l
 SHRED_AREA = Limit(0.02, "", "smallest share of the tissue that a blade may hold (W305)")
 
 BRAIN_MM2 = Limit(22_000.0, "mm²", "cross-section of a brain; more may be a head (W206)")
+BRAIN_MM3 = Limit(2_200_000.0, "mm³", "volume of a brain; more may be a head (W206)")
+LEAST_BRAIN_MM3 = Limit(200_000.0, "mm³", "least volume of a brain in a stripped volume (W206)")
 RIM_DIP = Limit(0.1, "", "dip of brightness below the rim of a stripped slice, of the brightness in depth (W206)")
 # Limits of a brain found in a head, set on slices of heads whose brain is known (docs/measured/segmentation.md).
 ORGAN_MM2 = Limit(1500.0, "mm²", "least area of the organ (W206)")

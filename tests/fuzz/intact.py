@@ -165,7 +165,7 @@ def surface(path: Path) -> bytes:
 
 def mesh(path: Path) -> bytes:
     found = read_vtu(path, "E701", ("displacement",))
-    return found.points.tobytes() + found.triangles.tobytes() + b"".join(
+    return found.points.tobytes() + found.cells.tobytes() + b"".join(
         values.tobytes() for values in found.point_data.values())
 
 

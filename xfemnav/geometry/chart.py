@@ -1,6 +1,9 @@
-"""Chart: a cut where it lies in the organ, as all above the parts of a mesh sees it; in the plane `Cut`, a path."""
+"""Chart: a cut where it lies in the organ, as all above the parts of a mesh sees it: a `Cut`, a path in the plane, or a
+`Sheet` in space."""
 
 from typing import Protocol
+
+import numpy as np
 
 
 class Chart(Protocol):
@@ -13,6 +16,10 @@ class Chart(Protocol):
     @property
     def mouth(self) -> bool:
         """Whether it begins at the organ's surface."""
+
+    @property
+    def mouth_line(self) -> np.ndarray:
+        """Places (k, d) mm of its mouth: in the plane one, or none without a mouth."""
 
     @property
     def craniotomy(self) -> bool:

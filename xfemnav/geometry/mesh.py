@@ -60,11 +60,7 @@ class Mesh:
     @cached_property
     def gradients(self) -> np.ndarray:
         """Gradients (m, d + 1, d) 1/mm of the nodal shape functions on each cell (Eq. 1)."""
-        if self.dim == 2:  # by the edge opposite each node: the inverses take twice as long
-            across = self.corners[:, [2, 0, 1]] - self.corners[:, [1, 2, 0]]
-            return np.stack([-across[..., 1], across[..., 0]], axis=-1) / (2 * self.volumes)[:, None, None]
-        rest = np.linalg.inv(self.corners[:, 1:] - self.corners[:, :1]).swapaxes(1, 2)
-        return np.concatenate([-rest.sum(axis=1, keepdims=True), rest], axis=1)
+        return gradients(self.corners)
 
     @cached_property
     def quality(self) -> np.ndarray:
@@ -157,9 +153,22 @@ def determinants(rows: np.ndarray) -> np.ndarray:
 
 def area_vectors(facets: np.ndarray) -> np.ndarray:
     """Outward normals (b, d) of facets (b, d, d), see `Mesh.boundary_facets`, as long as they are large, mm^(d-1)."""
-    edges, d = facets[:, 1:] - facets[:, :1], facets.shape[-1]
-    minors = np.stack([np.linalg.det(np.delete(edges, i, axis=2)) for i in range(d)], axis=1)
-    return minors * (-1.0) ** np.arange(d) / factorial(d - 1)
+    edges = facets[:, 1:] - facets[:, :1]
+    if facets.shape[-1] == 2:
+        return np.stack([edges[:, 0, 1], -edges[:, 0, 0]], axis=1)
+    return np.cross(edges[:, 0], edges[:, 1]) / 2
+
+
+def gradients(corners: np.ndarray) -> np.ndarray:
+    """Gradients (s, d + 1, d) 1/mm of the nodal shape functions on simplices with `corners` (s, d + 1, d) mm: across
+    the facet opposite each node, inwards."""
+    s, _, d = corners.shape
+    if d == 2:
+        across = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
+        inward = np.stack([-across[..., 1], across[..., 0]], axis=-1)
+    else:
+        inward = -area_vectors(corners[:, _opposite(d)].reshape(-1, d, d)).reshape(s, d + 1, d)
+    return inward / (d * volumes(corners))[:, None, None]
 
 
 def _opposite(d: int) -> np.ndarray:

@@ -91,10 +91,11 @@ def nearest_of(p, triangles, chosen):
 
 @njit(cache=True)
 def nearest_on_sheet(points, triangles):
-    """For points (n, 3) mm: the nearest place (n, 3) on `triangles` (f, 3, 3) mm, the distance (n,) mm, and whether the
-    point is on the side (n,) to which the normals point."""
+    """For points (n, 3) mm: the nearest of `triangles` (f, 3, 3) mm (n,), the place (n, 3) on it, the distance (n,) mm,
+    and whether the point is on the side (n,) to which the normals point."""
     n, f = len(points), len(triangles)
-    place, distance, left = np.zeros((n, 3)), np.full(n, np.inf), np.zeros(n, np.bool_)
+    nearest, place, distance = np.full(n, -1), np.zeros((n, 3)), np.full(n, np.inf)
+    left = np.zeros(n, np.bool_)
     middle, reach = np.zeros((f, 3)), np.zeros(f)
     for c in range(f):
         middle[c] = (triangles[c, 0] + triangles[c, 1] + triangles[c, 2]) / 3
@@ -113,9 +114,9 @@ def nearest_on_sheet(points, triangles):
                 near[count] = c
                 count += 1
         if count:
-            _, place[k], distance[k], height = nearest_of(p, triangles, near[:count])
+            nearest[k], place[k], distance[k], height = nearest_of(p, triangles, near[:count])
             left[k] = height > 0
-    return place, distance, left
+    return nearest, place, distance, left
 
 
 @njit(cache=True)

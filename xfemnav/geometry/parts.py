@@ -64,8 +64,9 @@ class Faces(Rows):
 class Lips(Rows):
     """Facets of the cuts, each inside one cell or on a face between two.
 
-    facets (l, d, d) mm, turned as the border of the left part: in the plane in travel order. at (l, d, d - 1): chart
-    coordinates of their corners, in the plane mm from the mouth. parts (l, 2): on the left (+1) and on the right (-1).
+    facets (l, d, d) mm, turned as the border of the left part: in the plane in travel order. at (l, d, c): chart
+    coordinates of their corners, in the plane mm from the mouth, in space along and in depth, and mm from the sheet's
+    border. parts (l, 2): on the left (+1) and on the right (-1).
     cut (l,): the cut of each. on_face (l, d): whether each corner lies on a face of the mesh.
     """
 
@@ -77,7 +78,7 @@ class Lips(Rows):
 
     def __post_init__(self):
         d = np.shape(self.facets)[-1]
-        freeze(self, facets=(float, None, d, d), at=(float, None, d, d - 1), parts=(np.int64, None, 2),
+        freeze(self, facets=(float, None, d, d), at=(float, None, d, None), parts=(np.int64, None, 2),
                cut=(np.int64, None), on_face=(bool, None, d))
 
     @property

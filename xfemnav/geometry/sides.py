@@ -124,7 +124,7 @@ class Sheets:
         foot, sheet = np.zeros(points.shape), np.full(len(points), -1)
         distance, left = np.full(len(points), np.inf), np.zeros(len(points), bool)
         for k, triangles in enumerate(self.cuts):
-            place, gap, above = nearest_on_sheet(points, triangles)
+            _, place, gap, above = nearest_on_sheet(points, triangles)
             n = gap < distance
             foot[n], sheet[n], distance[n], left[n] = place[n], k, gap[n], above[n]
         return foot, sheet, distance, left

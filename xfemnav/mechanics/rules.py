@@ -87,10 +87,10 @@ class Skull:
     What is held by nothing but contact (which holds nobody back from leaving, or from sliding along) also hangs on
     springs of 1e-6 E / mm along the outline: they carry under 1e-4 of a brain's weight where contact bears it, and keep
     it in its place where nothing else does.
-    `border`: None, or the rectangle (low, high) (2,) mm in which the image ends, and how near to it (mm) the outline is
-    the image's end and no skull: tissue goes on there, so it is fixed whatever else is said, and no mouth opens it.
-    `openings` (x, y) mm: further places about which the skull is open. `measured`: where the outline's motion is known,
-    it is that, whatever the skull does there.
+    `border`: None, or the rectangle (low, high) (d,) mm in which the image ends, and how near to it (mm) the outline is
+    the image's end and no skull (in space in voxels, with the rows (3, 4) that take points to them): tissue goes on
+    there, so it is fixed whatever else is said, and no mouth opens it. `openings` (d,) mm: further places about which
+    the skull is open. `measured`: where the outline's motion is known, it is that, whatever the skull does there.
     """
 
     kind: str = "fixed"
@@ -98,8 +98,8 @@ class Skull:
     ramp_mm: float = 4.0
     gap_mm: float = 0.0
     arcs: tuple[Arc, ...] = ()
-    border: tuple[tuple[float, float], tuple[float, float], float] | None = None
-    openings: tuple[tuple[float, float], ...] = ()
+    border: tuple | None = None
+    openings: tuple[tuple[float, ...], ...] = ()
     measured: Measured | None = None
 
     def __post_init__(self):
@@ -203,21 +203,23 @@ class LipRules:
 class Retraction:
     """What a retractor does to one lip of one cut.
 
-    Exactly one of `displacement_mm` (dx, dy), `normal_mm` (away from the other lip) and `force_mN_per_mm` (fx, fy)
-    spread over the blade. `blade` (from, to): the part of the cut's length that is held, 0 at the mouth; None holds,
-    pointwise, every crossing but the tip cell's. `blade_given`: whether the user said so, and is told if it cannot be.
+    Exactly one of `displacement_mm` (d,), `normal_mm` (away from the other lip) and `force_mN_per_mm` (d,), in space
+    mN, spread over the blade. `blade` (from, to): the part of the cut's length, in space of its depth, that is held, 0
+    at the mouth; None holds, pointwise, every crossing but the tip cell's. `blade_given`: whether the user said so, and
+    is told if it cannot be. `blade_along` (from, to): in space the part along the mouth; None holds all.
     `relative_to`: displacements count from where the lip lies under all that acts but blades ('loads', by default for
     normal_mm, unless blades alone hold the organ), or from its place at rest ('rest').
     """
 
     cut: int
     side: int
-    displacement_mm: tuple[float, float] | None = None
+    displacement_mm: tuple[float, ...] | None = None
     normal_mm: float | None = None
-    force_mN_per_mm: tuple[float, float] | None = None
+    force_mN_per_mm: tuple[float, ...] | None = None
     blade: tuple[float, float] | None = BLADE
     blade_given: bool = True
     relative_to: str | None = None
+    blade_along: tuple[float, float] | None = None
 
     def __post_init__(self):
         _refuse_others(self, "relative_to", (None, *RELATIVE_TO))
@@ -225,9 +227,10 @@ class Retraction:
             raise ValueError("give exactly one of displacement_mm, normal_mm, force_mN_per_mm")
         if self.side not in (LEFT, RIGHT):
             raise ValueError("side is +1 (left) or -1 (right)")
-        if self.blade is not None and not 0 <= self.blade[0] < self.blade[1] <= 1:
-            raise XfemnavError("E402", f"blade {self.blade[0]:g},{self.blade[1]:g} is not on the cut; give "
-                                       "FROM,TO with 0 <= FROM < TO < 1 (0 the mouth, 1 the tip).")
+        for blade, ends in ((self.blade, "0 the mouth, 1 the tip"), (self.blade_along, "0 the first end, 1 the last")):
+            if blade is not None and not 0 <= blade[0] < blade[1] <= 1:
+                raise XfemnavError("E402", f"blade {blade[0]:g},{blade[1]:g} is not on the cut; give FROM,TO with "
+                                           f"0 <= FROM < TO < 1 ({ends}).")
 
     @property
     def holds(self) -> bool:
@@ -241,7 +244,7 @@ class Retraction:
         return self.holds and (self.relative_to or default) == "loads"
 
     def displacement(self, normals):
-        """Prescribed displacement (k, 2) mm, from where it counts, where the left normals of the cut are (k, 2)."""
+        """Prescribed displacement (k, d) mm, from where it counts, where the left normals of the cut are (k, d)."""
         if self.displacement_mm is not None:
             return 0 * normals + self.displacement_mm
         return self.side * self.normal_mm * normals

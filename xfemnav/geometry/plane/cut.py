@@ -45,6 +45,11 @@ class Cut:
         """Length of the cut, mm."""
         return float(self.arc[-1])
 
+    @property
+    def mouth_line(self) -> np.ndarray:
+        """Its mouth (1, 2) mm, none of a cut without one."""
+        return self.path[: int(self.mouth)]
+
     def at(self, fraction: float) -> np.ndarray:
         """Point (2,) mm at a fraction of the length: 0 the mouth, 1 the tip."""
         return np.array([np.interp(fraction * self.length, self.arc, self.path[:, i]) for i in (0, 1)])

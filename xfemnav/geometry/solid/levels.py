@@ -17,7 +17,7 @@ SNAP = 1e-3  # of the element size: values at nodes that are nearer to 0 are 0, 
 @dataclass(frozen=True, eq=False)
 class Level:
     """One cut: phi (n,) mm at the nodes, with a slope of about 1; bounds (b, n) mm; whether it takes out phi < 0; at
-    (n, d - 1): chart coordinates at the nodes, none without."""
+    (n, c): chart coordinates at the nodes, none without."""
 
     phi: np.ndarray
     bounds: np.ndarray | None = None

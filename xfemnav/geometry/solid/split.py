@@ -134,7 +134,8 @@ def _lips(mesh, cuts, met, points, chosen):
     """The facets (g,) that are `chosen`, as lips."""
     contact, shares = met.of[chosen], met.facets[chosen]
     k, nodes = met.cut[contact], mesh.cells[met.cell[contact]]
-    at = np.zeros((len(cuts), len(mesh.points), mesh.dim - 1))
+    columns = max((cut.at.shape[1] for cut in cuts if cut.at is not None), default=mesh.dim - 1)
+    at = np.zeros((len(cuts), len(mesh.points), columns))
     for cut, own in zip(cuts, at):
         own[:] = 0 if cut.at is None else cut.at
     return Lips(points[chosen], np.einsum("gva,gak->gvk", shares, at[k[:, None], nodes]), met.pairs[contact], k,

@@ -4,6 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
+SKEW = 1e-3  # cosine between two axes up to which an affine is rounded, not sheared: .05 mm in 100 mm
 SAME_PIXEL = 0.05  # pixels apart up to which two grids are one: files round their affines
 
 

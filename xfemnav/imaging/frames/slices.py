@@ -15,14 +15,13 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.frames.grid import SAME_PIXEL, Grid, at, by
+from xfemnav.imaging.frames.grid import SAME_PIXEL, SKEW, Grid, at, by
 from xfemnav.imaging.frames.volume import Volume, values_in
 from xfemnav.imaging.reading.gate import Image
 from xfemnav.imaging.reading.lean import nibabel
 from xfemnav.imaging.reading.nifti_frames import OTHER, Frames, from_voxel, plain_header
 
 PLANES = {"axial": (0, 1, 2), "coronal": (0, 2, 1), "sagittal": (1, 2, 0)}  # world axes (R A S) of e1, e2, normal
-SKEW = 1e-3  # cosine between e1 and e2 up to which an affine is rounded, not sheared: .05 mm in 100 mm
 FLAT = 0.1  # mm off a plane up to which drawn points lie in it
 BESIDE = 0.75  # pixels: an outline of pixels that touch the image's border lies nearer to it, any other one farther
 
@@ -195,7 +194,8 @@ def _index(name: str, plane: str, offsets: np.ndarray, thickness: float, index, 
     choices = f"⟦slice=0⟧ to {n - 1}, or ⟦slice_mm={low:.4g}⟧ to {high:.4g}"
     if index is None and position_mm is None:
         if n > 1:
-            raise XfemnavError("E120", f"{name} has {n} {plane} slices; say which one: {choices}.")
+            raise XfemnavError("E120", f"{name} has {n} {plane} slices; say which one: {choices}; or take the whole "
+                                       "volume: ⟦dim=3⟧.")
         return 0
     if position_mm is not None:
         there = low - thickness / 2 <= position_mm <= high + thickness / 2
@@ -219,9 +219,12 @@ def rows_of(points) -> np.ndarray:
 
 
 def mapped(slice: Slice, points, move) -> np.ndarray:
-    """`points` as `move` maps plane points (n, 2), in their own form; world points keep their distance (W132)."""
-    rows = rows_of(points)
-    if rows.shape[1] == 2:
+    """`points` as `move` maps those of a slice (n, 2), or of a Volume (n, 3), in their own form; world points keep
+    their distance from a slice (W132). Raises E780."""
+    rows, d = rows_of(points), slice.values.ndim
+    if rows.shape[1] < d:
+        raise XfemnavError("E780", "points in a volume are world RAS mm, (n, 3).")
+    if rows.shape[1] == d:
         return move(rows).reshape(np.shape(points))
     plane, distance = slice.from_world(rows)
     warn_of_slice(rows, "", slice)

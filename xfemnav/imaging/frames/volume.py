@@ -12,10 +12,12 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.frames.grid import SAME_PIXEL, at, by
+from xfemnav.imaging.frames.grid import SAME_PIXEL, SKEW, at, by
 from xfemnav.imaging.reading.gate import Image
 from xfemnav.imaging.reading.lean import nibabel
 from xfemnav.imaging.reading.nifti_frames import OTHER, PERPENDICULAR, Frames, plain_header
+
+BESIDE = 1.5  # voxels: a surface of voxels that touch the image's border lies nearer to it, any other one farther
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +98,15 @@ class Volume:
         """`values` (n1, n2, n3, ...) on the voxels in the file's order: as they are."""
         return np.asarray(values)
 
+    def border(self, mask) -> tuple | None:
+        """Where the image ends inside the organ of a `mask` (n1, n2, n3): the corners (low, high) of its box in voxels,
+        how near (voxels) to its sides the organ ends there, and the rows (3, 4) that take points to voxels; None when
+        the mask does not touch the box."""
+        if not any(np.take(mask, end, axis=axis).any() for axis in range(3) for end in (0, -1)):
+            return None
+        rows = tuple(map(tuple, np.linalg.inv(self.affine)[:3].tolist()))
+        return (-0.5,) * 3, tuple(n - 0.5 for n in self.values.shape), BESIDE, rows
+
     def header(self) -> nibabel.Nifti1Header:
         """A NIfTI header with the frames of the input, or twice the one that it has."""
         if self.frames is not None:
@@ -127,11 +138,26 @@ def upright(volume: Volume, spacing_mm: float | None = None) -> Volume:
 
 
 def take_volume(image: Image) -> Volume:
-    """The whole of `image`. Raises E105 when it is one slice."""
+    """The whole of `image`. Raises E105 when it is one slice, E111 when its axes are sheared."""
     if 1 in image.values.shape:
         raise XfemnavError("E105", f"{image.name} is one slice of {' x '.join(map(str, image.values.shape))} voxels, "
                                    "not a volume.")
+    axes = image.affine[:3, :3] / np.linalg.norm(image.affine[:3, :3], axis=0)
+    if (skew := abs(axes.T @ axes - np.eye(3)).max()) > SKEW:
+        raise XfemnavError("E111", f"the voxels of {image.name} are sheared: its axes meet at "
+                                   f"{np.degrees(np.arccos(skew)):.2f} degrees. Resample it to right angles.")
     return Volume(image.values, image.affine, image.frame_code, image.frames)
+
+
+def world_points(volume: Volume, points, space: str = "ras") -> np.ndarray:
+    """World RAS mm (n, 3) of a user's `points` (n, 3), read in `space` ras, lps or voxel. Raises E780 for others."""
+    try:
+        points = frozen_array(points, float, (None, 3), "points")
+    except ValueError as error:
+        raise XfemnavError("E780", f"points in a volume are rows of 3 numbers: {error}.") from None
+    if not np.isfinite(points).all():
+        raise XfemnavError("E780", "points in a volume are finite numbers; some are not.")
+    return volume.voxels_to_world(points) if space == "voxel" else points * ([-1, -1, 1] if space == "lps" else 1)
 
 
 def values_in(image: Image, like: Volume, *, resample: str | None = None) -> np.ndarray:

@@ -37,7 +37,8 @@ METHODS = ("auto", "otsu", "vote", "svc")
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """`mask` (n1, n2) bool on the slice's pixels, and how it was found: mask, stripped, vote, otsu or svc.
+    """`mask` (n1, n2) bool on the slice's pixels, or (n1, n2, n3) on a volume's voxels, and how it was found: mask,
+    stripped, vote, otsu or svc.
 
     `info` has area_mm2 and, by method, share_of_head, agreement (Dice of each pair of voters), merit (of
     `vote.Looks`), kept (Dice with svc's prior).
@@ -48,7 +49,7 @@ class Segmentation:
     info: dict = field(default_factory=dict)
 
     def __post_init__(self):
-        object.__setattr__(self, "mask", frozen_array(self.mask, bool, (None, None), "mask"))
+        object.__setattr__(self, "mask", frozen_array(self.mask, bool, (None,) * np.ndim(self.mask), "mask"))
 
 
 def segment(slice: Slice, *, method: str = "auto", mask: np.ndarray | None = None, skull: str = "auto",

@@ -18,22 +18,25 @@ LIMIT_DEPTH, LIMIT_MARKUPS = 32, 1000
 # Slicers before 5.1 read no file whose schema has another address.
 SCHEMA = ("https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
           "markups-schema-v1.0.3.json#")
-KINDS = tuple(kind for kind in LEAST if kind != "points")
+KINDS = tuple(kind for kind in LEAST if kind not in ("points", "Plane"))
 # Slicer counts coordinate systems as 0 RAS, 1 LPS where it does not name them.
 FRAMES = {"RAS": RAS, "LPS": LPS, "0": RAS, "1": LPS}
 MM = {"mm": 1.0, "um": 1e-3}
 
 
-def control_points(text: str, file: str, stem: str, name: str | None) -> tuple[PointSet, str]:
+def control_points(text: str, file: str, stem: str, name: str | None, planes: bool = False) -> tuple[PointSet, str]:
     """The markup `name` in a file's text, or its only one, and how it is interpolated: "linear" or "spline".
 
     Slicer writes no names into these files: a markup without one is called as the file's `stem`, and with its number
-    behind that where there are several. Raises E308 and E309.
+    behind that where there are several. With `planes` a Plane is its four corners, in turn about its normal.
+    Raises E308 and E309.
     """
     markups = _markups(text, file)
     names = [_name(markup, f"{stem}-{i + 1}" if len(markups) > 1 else stem) for i, markup in enumerate(markups)]
     markup, name = _chosen(markups, names, name, file)
     kind = markup.get("type")
+    if planes and kind == "Plane":
+        return point_set(kind, name, _corners(markup, file), ("",) * 4, file), "linear"
     if kind not in KINDS:
         raise unusable(file, f"holds a markup of type {shown(kind)}; points are read of {', '.join(KINDS)}.")
     interpolation = markup.get("curveType", "spline") if kind.endswith("Curve") else "linear"
@@ -96,6 +99,37 @@ def _chosen(markups: list[dict], names: list[str], name: str | None, file: str) 
     asked = "" if name is None else f" called {shown(name)}"
     raise XfemnavError("E309", f"{file} holds {found}{asked}: there are {listed}. Say which one by its name, or save "
                                "it alone.")
+
+
+def _corners(markup: dict, file: str) -> np.ndarray:
+    """Corners (4, 3) RAS mm of a Plane, in turn about its normal."""
+    unit, signs = _unit(markup, file), _frame(markup, file)
+    centre = np.array(_position({"position": markup.get("center")}, 1, unit, file))
+    turn, size = _listed(markup, "orientation", (9,), file), _listed(markup, "size", (2, 3), file)
+    bounds = _listed(markup, "planeBounds", (4,), file)
+    if turn is None:
+        turn = _listed(markup, "objectToBase", (16,), file)
+        turn = turn if turn is None else turn.reshape(4, 4)[:3, :3]
+    size = size[:2] if size is not None else None if bounds is None else np.diff(bounds.reshape(2, 2), axis=1)[:, 0]
+    if turn is None or size is None or not (size > 0).all():
+        raise unusable(file, "holds a Plane without orientation and size. Give it a size in Slicer's Markups module "
+                             "(size "
+                             "mode 'absolute'), and save it again.")
+    x, y = turn.reshape(3, 3).T[:2]
+    halves = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    return np.array([centre + (i * size[0] * x + j * size[1] * y) / 2 for i, j in halves]) * signs * unit + 0.0
+
+
+def _listed(markup: dict, key: str, lengths: tuple[int, ...], file: str) -> np.ndarray | None:
+    """The finite numbers (n,) of a list in a markup, None without it."""
+    values = markup.get(key)
+    if values is None:
+        return None
+    good = isinstance(values, list) and len(values) in lengths and all(
+        isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e9 for x in values)
+    if not good:
+        raise unusable(file, f"has a {key} of {shown(values)}; it must be {' or '.join(map(str, lengths))} numbers.")
+    return np.array(values, float)
 
 
 def _frame(markup: dict, file: str) -> np.ndarray:

@@ -33,15 +33,16 @@ SUFFIXES = (".mrk.json", ".json", ".fcsv", ".csv", ".tsv", ".tag")
 TEXTS = {".fcsv": fcsv_text, ".csv": csv_text, ".tsv": tsv_text, ".tag": tag_text}
 
 
-def read_points(path, *, name: str | None = None, chord_mm: float = 0.05) -> PointSet:
+def read_points(path, *, name: str | None = None, chord_mm: float = 0.05, planes: bool = False) -> PointSet:
     """The points in the file at `path`: .mrk.json, .fcsv, .csv, .tsv or .tag.
 
     `name` chooses one of several markups. Frames are the files' own: markups and .fcsv say theirs, .tag is RAS, and
     tables say it by the names of their columns (`read_columns`), or a BIDS coordsystem.json beside them.
     Curves are followed as 3D Slicer draws them, with chords at most `chord_mm` off; their control points are among the
-    vertices and keep their labels. Raises E100 (no such file), E308 (cannot be used), E309 (several markups).
+    vertices and keep their labels. With `planes` a Plane of Slicer's is its four corners. Raises E100 (no such file),
+    E308 (cannot be used), E309 (several markups).
     """
-    points, interpolation = _read(path, name)
+    points, interpolation = _read(path, name, planes)
     if interpolation == "linear":
         return points
     try:
@@ -74,13 +75,13 @@ def write_points(path, points: PointSet) -> None:
         raise unusable(Path(path).name, f"has no suffix of a point file; give one of {', '.join(SUFFIXES)}.")
 
 
-def _read(path, name: str | None) -> tuple[PointSet, str]:
+def _read(path, name: str | None, planes: bool = False) -> tuple[PointSet, str]:
     """The control points, and how a line through them is interpolated: "linear" or "spline"."""
     file, text = Path(path).name, _text(path)
     stem = file[:len(file) - len(_suffix(path))] or file
     reader = _reader(text, path)
     if reader is None:
-        return markups.control_points(text, file, stem, name)
+        return markups.control_points(text, file, stem, name, planes)
     if name not in (None, stem):
         raise XfemnavError("E309", f"{file} holds one set of points and no names. Leave out {name!a}.")
     if (n_lines := max(text.count("\n"), text.count("\r"))) > LIMIT_LINES:

@@ -7,7 +7,8 @@ import numpy as np
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
 
-LEAST = {"Fiducial": 1, "Line": 2, "Curve": 2, "ClosedCurve": 3, "points": 1}  # kind -> fewest points of one
+#: Kind -> fewest points of one.
+LEAST = {"Fiducial": 1, "Line": 2, "Curve": 2, "ClosedCurve": 3, "points": 1, "Plane": 4}
 FARTHEST = 1e4  # mm, farther from the origin than any patient
 RAS, LPS = np.array([1.0, 1.0, 1.0]), np.array([-1.0, -1.0, 1.0])  # what turns a file's axes to RAS and back
 

@@ -25,7 +25,7 @@ PART = 1e-3
 
 @dataclass(frozen=True)
 class Piece:
-    """A connected body of tissue: its area mm^2, a place in it (x, y) mm, and its `fate`.
+    """A connected body of tissue: its area mm^2, in space its volume mm^3, a place in it (d,) mm, and its `fate`.
 
     'fixed': the skull or a retractor holds it; 'held': loose, and held at its mean; 'removed': loose, and not in the
     result.
@@ -33,7 +33,7 @@ class Piece:
 
     name: str
     area_mm2: float
-    place_mm: tuple[float, float]
+    place_mm: tuple[float, ...]
     fate: str
 
 
@@ -62,7 +62,8 @@ def sort_out(
                 "use ⟦skull=fixed⟧, or hold a lip.",
             )
         fates[k] = "removed" if is_crumb or (loose == "remove" and k) else "held" if loose == "hold" else "refused"
-        what = f"{area[bodies[k]]:.3g} mm2 ({100 * area[bodies[k]] / area[bodies].sum():.2g} % of the tissue)"
+        share = 100 * area[bodies[k]] / area[bodies].sum()
+        what = f"{area[bodies[k]]:.3g} mm{space.mesh.dim} ({share:.2g} % of the tissue)"
         if is_crumb:
             crumbs.append(f"{what} about {_mm(_place(split, parts))}")
         elif k not in held:

@@ -141,11 +141,21 @@ def eliminate(constraints: Constraints) -> tuple[np.ndarray, csc_array]:
     settled = _row_norms(C) <= DEPENDENT * size
     refuse_contradiction(d[settled] / size[settled], constraints.d)
     C, d = C[np.flatnonzero(~settled)], d[~settled]
-    free = np.flatnonzero(~fixed)
-    involved = np.unique(C.indices)
-    untouched = np.setdiff1d(free, involved)
+    fixed[np.unique(C.indices)] = True
+    untouched = np.flatnonzero(~fixed)
     rows, columns, data = [untouched], [np.arange(len(untouched))], [np.ones(len(untouched))]
     n_free = len(untouched)
+    alone = _alone(C)
+    for block_columns, normals, own in _by_width(C, np.flatnonzero(alone)):
+        size = np.linalg.norm(normals, axis=1)
+        U0[block_columns] = normals * (d[own] / size**2)[:, None]
+        Z = _complements(normals / size[:, None])
+        at = n_free + np.arange(Z.shape[0] * Z.shape[2]).reshape(len(Z), 1, -1)
+        each = np.broadcast_arrays(block_columns[:, :, None], at, Z)
+        for found, own in zip((rows, columns, data), each):
+            found.append(own.ravel())
+        n_free += at.size
+    C, d = C[np.flatnonzero(~alone)], d[~alone]
     for block_rows, block_columns in _blocks(C):
         c = C[block_rows][:, block_columns].toarray()
         scale = np.linalg.norm(c, axis=1)
@@ -162,6 +172,32 @@ def eliminate(constraints: Constraints) -> tuple[np.ndarray, csc_array]:
         n_free += Z.shape[1]
     T = csc_array((np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), (n_dof, n_free))
     return U0, T
+
+
+def _alone(C):
+    """Rows (m,) bool of which no other row has an unknown."""
+    shared = np.bincount(C.indices, minlength=C.shape[1]) > 1
+    return np.bincount(np.repeat(np.arange(C.shape[0]), np.diff(C.indptr)), shared[C.indices], C.shape[0]) == 0
+
+
+def _by_width(C, rows):
+    """Of those rows each kind with w entries: the unknowns (k, w), their factors (k, w), and which rows (k,)."""
+    for width in np.unique(np.diff(C.indptr)[rows]):
+        own = rows[np.diff(C.indptr)[rows] == width]
+        at = C.indptr[own][:, None] + np.arange(width)
+        yield C.indices[at], C.data[at], own
+
+
+def _complements(normals):
+    """Orthonormal directions (k, w, w - 1) across unit vectors (k, w): Householder's reflection of each to its largest
+    axis, without that."""
+    k, w = normals.shape
+    largest = np.abs(normals).argmax(axis=1)
+    turned = normals.copy()
+    turned[np.arange(k), largest] += np.sign(normals[np.arange(k), largest])
+    H = np.eye(w) - 2 * turned[:, :, None] * turned[:, None] / (turned**2).sum(axis=1)[:, None, None]
+    others = (largest[:, None] + 1 + np.arange(w - 1)) % w
+    return np.take_along_axis(H, others[:, None], axis=2)
 
 
 def _row_norms(C):

@@ -14,6 +14,7 @@ from xfemnav.errors import XfemnavError, warn
 from xfemnav.geometry.chart import Chart
 from xfemnav.geometry.plane.cut import left_normals
 from xfemnav.mechanics.conditions.constraints import Constraints, vector_rows
+from xfemnav.mechanics.conditions.lip_patches import held_patch, patch_points
 from xfemnav.mechanics.rules import LEFT, LipRules, Retraction
 from xfemnav.mechanics.space.quadrature import gauss
 from xfemnav.mechanics.space.space import Space
@@ -21,8 +22,8 @@ from xfemnav.mechanics.space.space import Space
 
 @dataclass(frozen=True, eq=False)
 class LipQuadrature:
-    """Gauss points along one lip: points (q, 2) mm, weights (q,) mm, arc (q,) mm, parts (q,), those across
-    the cut (q,), left normals (q, 2)."""
+    """Gauss points on one lip: points (q, d) mm, weights (q,) mm^(d-1), arc (q,) mm, in space the depth, parts (q,),
+    those across the cut (q,), left normals (q, d)."""
 
     points: np.ndarray
     weights: np.ndarray
@@ -33,8 +34,16 @@ class LipQuadrature:
 
 
 def lip_quadrature(space: Space, cut: int, side: int, span, breaks=(), n: int = 4) -> LipQuadrature:
-    """n Gauss points on each piece of a lip inside `span` (from, to) mm; pieces end at cell edges and at `breaks`."""
+    """n Gauss points on each piece of a lip inside `span` (from, to) mm; pieces end at cell edges and at `breaks`.
+
+    In space n^2 in each triangle of what is inside a window (2, 3) of chart coordinates, see `lip_patches`.
+    """
     split = space.parts
+    own = 0 if side == LEFT else 1
+    if np.ndim(span) > 1:
+        points, weights, depth, facet, normals = patch_points(split.lips, cut, span, min(n, 2))
+        return LipQuadrature(points, weights, depth, split.lips.parts[facet, own], split.lips.parts[facet, 1 - own],
+        normals)
     facets = np.flatnonzero(split.lips.cut == cut)
     cuts = np.unique(np.concatenate([split.lips.arc[facets].ravel(), np.asarray(breaks, float), span]))
     cuts = cuts[(cuts >= span[0]) & (cuts <= span[1])]
@@ -53,7 +62,6 @@ def lip_quadrature(space: Space, cut: int, side: int, span, breaks=(), n: int = 
     travel = ends[:, 1] - ends[:, 0]
     travel /= np.linalg.norm(travel, axis=1)[:, None]
     normals = np.stack([-travel[:, 1], travel[:, 0]], axis=1)
-    own = 0 if side == LEFT else 1
     return LipQuadrature(points, weights, arc, split.lips.parts[facet, own], split.lips.parts[facet, 1 - own], normals)
 
 
@@ -111,7 +119,10 @@ def held_span(space: Space, cuts: tuple[Chart, ...], retraction: Retraction) -> 
 def held_spans(
     space: Space, cuts: tuple[Chart, ...], retractions: tuple[Retraction, ...], rules: LipRules
 ) -> np.ndarray:
-    """Held part (r, 2) mm of each lip; for pointwise rows without a blade the whole lip, as in the paper."""
+    """Held part (r, 2) mm of each lip, in space windows (r, 2, 3); for pointwise rows without a blade the whole lip, as
+    in the paper."""
+    if space.parts.lips.at.shape[-1] > 1:
+        return np.array([held_patch(space, cuts, r) for r in retractions]).reshape(-1, 2, 3)
     spans = [(0.0, np.inf) if rules.pointwise and r.holds and r.blade is None else held_span(space, cuts, r)
              for r in retractions]
     return np.array(spans).reshape(-1, 2)
@@ -196,7 +207,7 @@ def lip_rows(space: Space, retraction: Retraction, span, group: int, rules: LipR
 
 
 def lip_load(space: Space, retraction: Retraction, span) -> np.ndarray:
-    """Nodal forces (n_dof,) mN per mm of thickness of a force spread evenly over the blade."""
+    """Nodal forces (n_dof,) mN, in the plane per mm of thickness, of a force spread evenly over the blade."""
     q = lip_quadrature(space, retraction.cut, retraction.side, span)
     traction = np.asarray(retraction.force_mN_per_mm, float) / q.weights.sum()
     return np.outer(space.basis_in(q.points, q.parts).T @ q.weights, traction).ravel()

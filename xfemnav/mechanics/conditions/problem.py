@@ -37,9 +37,9 @@ LOCKING_POISSON = 0.48
 class Problem(Conditions):
     """What acts on an organ, and what it was made of.
 
-    spans (r, 2) mm: the held part of each retraction's lip; removed (p,): parts that are resected or loose, not in the
-    result; pieces: the bodies of tissue that cuts and resections leave, largest first, those removed last.
-    With the 'neo-hookean' model the tissue's stored energy takes the place of 1/2 U'KU.
+    spans (r, 2) mm: the held part of each retraction's lip, in space windows (r, 2, 3); removed (p,): parts that are
+    resected or loose, not in the result; pieces: the bodies of tissue that cuts and resections leave, largest first,
+    those removed last. With the 'neo-hookean' model the tissue's stored energy takes the place of 1/2 U'KU.
     bare: what takes the place of these conditions without the blades, where a blade's displacement counts from its
     lip's place then and that is not at rest; once that is known, `under` (n_dof,) mm are its coefficients, and the data
     count on.
@@ -60,7 +60,8 @@ class Problem(Conditions):
 
     def __post_init__(self):
         super().__post_init__()
-        object.__setattr__(self, "spans", frozen_array(self.spans, float, (len(self.retractions), 2), "spans"))
+        spans = len(self.retractions), *np.shape(self.spans)[1:]
+        object.__setattr__(self, "spans", frozen_array(self.spans, float, spans, "spans"))
         object.__setattr__(self, "removed", frozen_array(self.removed, bool, (self.space.parts.n_parts,), "removed"))
         if self.under is not None:
             object.__setattr__(self, "under", frozen_array(self.under, float, self.load.shape, "under"))
@@ -85,7 +86,7 @@ class Problem(Conditions):
             self, load=load, constraints=replace(self.constraints, d=self.constraints.d + moved), bare=None, under=U
         )
         apart = self.bare.contacts is not None and (self.bare.contacts.cut >= 0).any()
-        _refuse_swapped(self.space, self.cuts, self.retractions, self.spans, U.reshape(-1, 2), apart)
+        _refuse_swapped(self.space, self.cuts, self.retractions, self.spans, U.reshape(-1, self.mesh.dim), apart)
         return found
 
     @property
@@ -265,12 +266,17 @@ def _spans(space, cuts, retractions, rules, again):
 def _refuse_overlap(cuts, retractions, spans):
     for i, (one, a) in enumerate(zip(retractions, spans)):
         for other, b in list(zip(retractions, spans))[:i]:
-            if (one.cut, one.side) == (other.cut, other.side) and min(a[1], b[1]) > max(a[0], b[0]):
+            low, high = np.atleast_1d(np.maximum(a[0], b[0])), np.atleast_1d(np.minimum(a[1], b[1]))
+            if (one.cut, one.side) == (other.cut, other.side) and (high > low).all():
                 side = "left" if one.side > 0 else "right"
+                where = f"{low[0]:.1f} and {high[0]:.1f} mm" if len(low) == 1 else (
+                    f"{max(low[1], 0):.2g} and {min(high[1], 1):.2g} of its depth, {max(low[0], 0):.2g} and "
+                    f"{min(high[0], 1):.2g} along it")
                 raise XfemnavError(
                     "E403",
-                    f"two retractions hold the {side} lip of cut '{cuts[one.cut].name}' between "
-                    f"{max(a[0], b[0]):.1f} and {min(a[1], b[1]):.1f} mm; give each its own part of the lip.",
+                    f"two retractions hold the {side} lip of cut '{cuts[one.cut].name}' between {where}; give each its "
+                    "own "
+                    "part of the lip.",
                 )
 
 
@@ -284,8 +290,10 @@ def _refuse_swapped(space, cuts, retractions, spans, under=None, apart=False):
         for other, b in zip(retractions, spans):
             if one.cut != other.cut or one.side != 1 or other.side != -1 or not (one.holds and other.holds):
                 continue
-            span = max(a[0], b[0]), min(a[1], b[1], cuts[one.cut].length)
-            if span[1] <= span[0]:
+            span = np.stack([np.maximum(a[0], b[0]), np.minimum(a[1], b[1])])
+            if span.ndim == 1:  # of pointwise rows without a blade it has no end
+                span[1] = min(span[1], cuts[one.cut].length)
+            if (span[1] <= span[0]).any():
                 continue
             q = lip_quadrature(space, one.cut, 1, span, n=1)
             opening = _along(one.displacement(q.normals) - other.displacement(q.normals), q)

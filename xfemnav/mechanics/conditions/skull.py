@@ -61,29 +61,32 @@ def hung(space: Space, constraints: Constraints, springs, weak) -> csr_array | N
     table = space.enrichment
     row_body = np.full(table.n_rows, -1)
     row_body[table.dof] = table.body[:, None]
-    touching = np.unique(row_body[np.flatnonzero(weak.diagonal()) // 2])
+    touching = np.unique(row_body[np.flatnonzero(weak.diagonal()) // space.mesh.dim])
     touching = touching[touching >= 0]  # branch functions belong to no body alone
     loose = [body for body in touching if free_motions(space, constraints, springs, body).shape[1]]
     if not loose:
         return None
-    own = np.repeat(np.isin(row_body, loose), 2).astype(float)
+    own = np.repeat(np.isin(row_body, loose), space.mesh.dim).astype(float)
     return csr_array(weak.multiply(own[:, None]).multiply(own[None, :]))
 
 
 def image_ends(skull: Skull, points) -> np.ndarray:
-    """Whether the image ends at points (k, 2) mm of the outline, (k,) bool."""
+    """Whether the image ends at points (k, d) mm of the outline, (k,) bool."""
     if skull.border is None:
         return np.zeros(len(points), dtype=bool)
-    low, high, near = skull.border
+    low, high, near, *frame = skull.border
+    for rows in np.array(frame):  # the border is that of an image that may lie obliquely
+        points = points @ rows[:, :3].T + rows[:, 3]
     return np.min(np.abs(np.stack([points - low, points - high])), axis=(0, 2)) < near
 
 
 def refuse_mouths(skull: Skull, cuts) -> None:
     """Raises XfemnavError E302 for a cut that enters where the image ends: there is no surface to open."""
     for cut in cuts:
-        if cut.mouth and image_ends(skull, cut.path[:1])[0]:
-            x, y = cut.path[0]
-            raise XfemnavError("E302", f"cut '{cut.name}' enters at ({x:.1f}, {y:.1f}) mm, where the image ends "
+        ends = image_ends(skull, cut.mouth_line)
+        if ends.any():
+            at = ", ".join(f"{x:.1f}" for x in cut.mouth_line[ends.argmax()])
+            raise XfemnavError("E302", f"cut '{cut.name}' enters at ({at}) mm, where the image ends "
                                        "inside the organ: there is no surface to open. Give an image that holds "
                                        "the organ where the cut enters.")
 
@@ -100,12 +103,12 @@ def skull_conditions(
     n_dof = space.enrichment.n_dof
     rim = rim_points(space)
     kinds, gaps = facet_kinds(space, skull)
-    ends, mouths = image_ends(skull, space.parts.rim.facets.mean(axis=1)), np.array([*mouths, *skull.openings])
+    ends, mouths = image_ends(skull, rim.middles[: len(kinds)]), np.array([*mouths, *skull.openings])
     kinds[ends] = "fixed"
     known, values = np.zeros(len(rim.points), dtype=bool), np.zeros(rim.points.shape)
     if skull.measured is not None:
         known, values = measured_at(space, rim, np.array(skull.measured.rows), pulled)
-    depth = _Depth(space, kinds, skull.craniotomy_mm, mouths)
+    depth = _Depth(space, kinds, skull, mouths)
     rigid = ~known & (ends[rim.facet] | (depth(rim.points) >= _rigid_from(skull, rim.lengths)))
     kind = kinds[rim.facet]
     fixed, sliding = rigid & (kind == "fixed"), rigid & (kind == "sliding")
@@ -134,10 +137,10 @@ def _at_corners(space, chosen):
 class _Depth:
     """How far points (k, 2) mm of the outline are from where the skull's grip begins, (k,) mm: inside it, positive."""
 
-    def __init__(self, space, kinds, craniotomy_mm, mouths):
-        loose = np.isin(kinds, ("free", "contact"))
+    def __init__(self, space, kinds, skull, mouths):
+        loose = np.isin(kinds, ("free", "contact")) & (len(skull.arcs) > 0)
         self.open = shapely.MultiLineString(list(space.parts.rim.facets[loose])) if loose.any() else None
-        self.craniotomy_mm, self.mouths = craniotomy_mm, mouths
+        self.craniotomy_mm, self.mouths = skull.craniotomy_mm, mouths
 
     def __call__(self, points):
         depth = _distance(points, self.mouths) - self.craniotomy_mm

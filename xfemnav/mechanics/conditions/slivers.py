@@ -20,6 +20,8 @@ SAMPLES = 40
 
 def warn_of_strips(space: Space, cuts, resections) -> None:
     """W306 where a lip or a wall runs along another, or along the outline, with too few elements between them."""
+    if space.parts.lips.at.shape[-1] > 1:  # of sheets in space nothing is known yet
+        return
     lines = _Boundary(space, cuts, resections)
     width, other, size = lines.across()
     thin = np.flatnonzero(width < STRIP_ELEMENTS.value * size)
@@ -100,7 +102,7 @@ def warn_of_slivers(space: Space, cuts, resections, retractions, spans) -> None:
 
     spans (r, 2) mm: the held part of each lip.
     """
-    if not retractions:
+    if not retractions or space.parts.lips.at.shape[-1] > 1:
         return
     tissue = _tissue(space, resections)
     for retraction, span in zip(retractions, spans):

@@ -37,9 +37,9 @@ def _hung_bodies(problem):
     if problem.hung is None:
         return
     table = problem.enrichment
-    on = (problem.hung.diagonal() != 0).reshape(-1, 2).any(axis=1)
+    on = (problem.hung.diagonal() != 0).reshape(-1, problem.mesh.dim).any(axis=1)
     for body in np.unique(table.body[on[table.dof].any(axis=1)]):
-        own = np.zeros((table.n_rows, 2), dtype=bool)
+        own = np.zeros((table.n_rows, problem.mesh.dim), dtype=bool)
         own[table.dof[table.body == body]] = True
         yield body, own.ravel()
 
@@ -50,8 +50,8 @@ def _named(problem, body):
     area = np.bincount(problem.enrichment.body, np.bincount(split.part, split.volumes, split.n_parts))
     if area[body] >= area[np.unique(problem.enrichment.body[~split.removed])].max():
         return "the organ"
-    x, y = split.corners[own[split.part]][split.volumes[own[split.part]].argmax()].mean(axis=0)
-    return f"the piece of {area[body]:.3g} mm2 about ({x:.1f}, {y:.1f}) mm"
+    place = split.corners[own[split.part]][split.volumes[own[split.part]].argmax()].mean(axis=0)
+    return f"the piece of {area[body]:.3g} mm{len(place)} about ({', '.join(f'{x:.1f}' for x in place)}) mm"
 
 
 def refuse_flight(problem: Problem, motion: Motion, body) -> None:
@@ -82,9 +82,9 @@ def warn_of_sway(problem: Problem, sway) -> None:
     """
     if sway is None:
         return
-    plain = np.repeat(problem.enrichment.kind < BRANCH, 2)
+    plain = np.repeat(problem.enrichment.kind < BRANCH, problem.mesh.dim)
     for body, own in _hung_bodies(problem):
-        far = np.linalg.norm((sway * (own & plain)).reshape(-1, 2), axis=1).max()
+        far = np.linalg.norm((sway * (own & plain)).reshape(-1, problem.mesh.dim), axis=1).max()
         if far > SWAY.value:
             warn(
                 "W410",

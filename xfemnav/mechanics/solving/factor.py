@@ -23,9 +23,17 @@ class NotPositiveDefinite(ArithmeticError):
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """A factored matrix A (n, n): `solve(b)` is A^-1 b for b (n,) or (n, k)."""
+    """A factored matrix A (n, n): `solve(b)` is A^-1 b for b (n,) or (n, k), by iteration to its own tolerance where
+    `iterated`, else to rounding, which one refinement takes off."""
 
     solve: Callable
+    iterated: bool = False
+
+
+def refined(inverse, A, b) -> np.ndarray:
+    """A^-1 b (n,) by an `inverse`, as exact as can be had from it."""
+    q = inverse.solve(b)
+    return q if inverse.iterated else q + inverse.solve(b - A @ q)
 
 
 def factor(A, semidefinite: bool = False) -> Factor:

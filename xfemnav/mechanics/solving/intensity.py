@@ -86,6 +86,8 @@ def free_tips(problem: Problem, U, force) -> tuple[FreeTip, ...]:
     force (g,) mN per mm: the multipliers of the problem's contacts.
     """
     split, table, found = problem.parts, problem.space.enrichment, []
+    if not len(split.fronts.at):
+        return ()
     pushed = problem.load.reshape(-1, 2).any(axis=1)
     if problem.means is not None:
         pushed[problem.means.C.indices // 2] = True

@@ -19,7 +19,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.interruption import checkpoint
 from xfemnav.limits import RESIDUAL
 from xfemnav.mechanics.conditions.constraints import Contacts, Means
-from xfemnav.mechanics.solving.factor import NotPositiveDefinite, factor
+from xfemnav.mechanics.solving.factor import NotPositiveDefinite, factor, refined
 
 #: Largest relative residual of a solution that is given out.
 RESIDUAL_LIMIT = RESIDUAL.value
@@ -55,25 +55,25 @@ def minimise(
     T,
     contacts: Contacts | None = None,
     means: Means | None = None,
-    semidefinite: bool = False,
+    by=factor,
     hung=None,
 ) -> Minimum:
     """The minimum over U = U0 + T q; K (n_dof, n_dof) kPa, load (n_dof,), U0 and T from `eliminate`.
 
-    `semidefinite` says that K is a sum of squares, so that only what nothing holds can be wrong with it. hung: those
-    springs in K, (n_dof, n_dof) kPa, whose part in U is asked for.
+    by: what makes a `Factor` of a matrix on the unknowns q. hung: those springs in K, (n_dof, n_dof) kPa, whose part in
+    U is asked for.
 
     Raises XfemnavError E405 when what is held pushes surfaces through each other; E407 when the energy has no minimum,
     when the residual stays above 1e-8, or when no forces were found that keep the gaps open.
     """
     A = (T.T @ K @ T).tocsc()
     if means is None:
-        lu = _factored(A, semidefinite)
+        lu = _factored(A, by)
     else:
-        lu = _Held(A, csr_array(means.C @ T).toarray(), csr_array(T.tocsr()[means.pins]), semidefinite)
+        lu = _Held(A, csr_array(means.C @ T).toarray(), csr_array(T.tocsr()[means.pins]), by)
         U0 = U0 + T @ lu.reaching(-(means.C @ U0))
     b = T.T @ (load - K @ U0)
-    q, force, sway = _refined(lu, A, b), np.zeros(0), None
+    q, force, sway = refined(lu, A, b), np.zeros(0), None
     if contacts is not None:
         G, gap, force = csr_array(contacts.G @ T), contacts.gap + contacts.G @ U0, np.zeros(len(contacts.gap))
         live = _unsettled(contacts, G, gap, T)
@@ -102,9 +102,9 @@ def without_means(forces, T, means: Means | None):
     return forces - C.T @ taken, -taken
 
 
-def _factored(A, semidefinite):
+def _factored(A, by):
     try:
-        return factor(A, semidefinite)
+        return by(A)
     except NotPositiveDefinite as error:
         raise XfemnavError(
             "E407",
@@ -120,10 +120,12 @@ class _Held:
     P q = z: a small dense problem for z and mu.
     """
 
-    def __init__(self, A, C, P, semidefinite):
+    iterated = False
+
+    def __init__(self, A, C, P, by):
         size = np.sqrt(P.multiply(P).sum(axis=1))
         self.P = csr_array(P.multiply((np.sqrt(A.diagonal().max()) / size)[:, None]))
-        self.C, self.lu = C, _factored((A + self.P.T @ self.P).tocsc(), semidefinite)
+        self.C, self.lu = C, _factored((A + self.P.T @ self.P).tocsc(), by)
         rows = np.concatenate([self.P.toarray(), C])
         self.moved = self.lu.solve(rows.T.copy())
         small = np.concatenate([self.P @ self.moved, C @ self.moved])
@@ -141,11 +143,6 @@ class _Held:
         return self.moved @ lu_solve(self.small, np.concatenate([np.zeros(len(d)), d]))
 
 
-def _refined(lu, A, b):
-    q = lu.solve(b)
-    return q + lu.solve(b - A @ q)
-
-
 def _unsettled(contacts, G, gap, T):
     """Conditions (k,) that the free unknowns can act on; the others must be met by what is held."""
     norm = np.sqrt(G.multiply(G).sum(axis=1))
@@ -153,11 +150,11 @@ def _unsettled(contacts, G, gap, T):
     settled = norm <= SETTLED * reach
     worst = np.argmin(np.where(settled, gap, np.inf)) if settled.any() else None
     if worst is not None and gap[worst] < -CONTRADICTION_MM:
-        x, y = contacts.points[worst]
+        at = ", ".join(f"{x:.1f}" for x in contacts.points[worst])
         what = "the lips of a cut into each other" if contacts.cut[worst] >= 0 else "the outline through the skull"
         raise XfemnavError(
             "E405",
-            f"what is held pushes {what} by {-gap[worst]:.2g} mm at ({x:.1f}, {y:.1f}) mm; "
+            f"what is held pushes {what} by {-gap[worst]:.2g} mm at ({at}) mm; "
             "correct the displacements there, or give ⟦lips=free⟧.",
         )
     return np.flatnonzero(~settled)
@@ -180,7 +177,7 @@ def pressed(lu, A, b, q, G, gap):
         before, force = force, scale * _complementary(S, force / scale, opening * scale, TOUCH_MM * scale)
         # The first forces may bring back what a load on weak springs has carried far away; then only what changes
         # counts, as the rounding of all would move it again.
-        q = _refined(lu, A, b + G.T @ force) if n == 0 else q + lu.solve(G.T @ (force - before))
+        q = refined(lu, A, b + G.T @ force) if n == 0 else q + lu.solve(G.T @ (force - before))
         opening = gap + G @ q
         error = np.where(force > 0, np.abs(opening), -opening).max()
         if error <= TOUCH_MM:

@@ -12,8 +12,10 @@ UNIFORM = 4
 
 
 def graded_triangles(space) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles (t, 3, 2) mm of the cut organ at rest and the part (t,) that each lies in."""
+    """Triangles (t, 3, 2) mm of the cut organ at rest and the part (t,) that each lies in; in space its tetrahedra."""
     split = space.parts
+    if not len(space.branch_parts):
+        return split.corners, split.part
     branched = np.isin(split.part, space.branch_parts)
     corners, part = split.corners[branched], split.part[branched]
     at_tip = np.zeros((len(corners), 3), dtype=bool)

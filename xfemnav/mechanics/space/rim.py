@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from xfemnav.geometry.mesh import area_vectors
-from xfemnav.mechanics.space.quadrature import gauss
+from xfemnav.mechanics.space.quadrature import gauss_in_simplex
 from xfemnav.mechanics.space.space import Space
 
 
@@ -41,11 +41,15 @@ def rim_points(space: Space) -> Rim:
 
 
 def rim_quadrature(space: Space, facets, pieces: int = 8, n: int = 4) -> tuple[Rim, np.ndarray]:
-    """In the plane: n Gauss points in each of equal pieces of the facets (f,), and their weights (q,) mm."""
-    t, w = gauss(n)
-    t, w = ((np.arange(pieces)[:, None] + (t + 1) / 2) / pieces).ravel(), np.tile(w / 2 / pieces, pieces)
-    rim = _rim(space, np.repeat(facets, len(t)), np.tile(np.stack([1 - t, t], axis=1), (len(facets), 1)))
-    return rim, rim.sizes * np.tile(w, len(facets))
+    """Gauss points of equal pieces of the facets (f,), divided along their first edge, and their weights (q,)
+    mm^(d-1)."""
+    d = space.mesh.dim
+    shares, weights = gauss_in_simplex(d - 1, n)
+    step, parts = np.arange(pieces + 1) / pieces, np.tile(np.eye(d), (pieces, 1, 1))
+    parts[:, 0, 0], parts[:, 0, 1], parts[:, 1, 0], parts[:, 1, 1] = 1 - step[:-1], step[:-1], 1 - step[1:], step[1:]
+    shares, weights = (shares @ parts).reshape(-1, d), np.tile(weights / pieces, pieces)
+    rim = _rim(space, np.repeat(facets, len(weights)), np.tile(shares, (len(facets), 1)))
+    return rim, rim.sizes * np.tile(weights, len(facets))
 
 
 def _rim(space, facet, shares):

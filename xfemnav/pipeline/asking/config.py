@@ -1,8 +1,5 @@
 """From a scenario and flags to what each stage reads."""
 
-import csv
-import io
-import math
 import os
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import chain
@@ -10,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xfemnav.errors import XfemnavError
-from xfemnav.imaging.reading.content import decoded, file_bytes
 from xfemnav.mechanics.rules import (
     BLADE,
     LEFT,
@@ -29,7 +25,9 @@ from xfemnav.mechanics.rules import (
 )
 from xfemnav.pipeline.asking.arguments import path_of
 from xfemnav.pipeline.asking.crosscheck import OUTLINE, actors
-from xfemnav.pipeline.asking.flags import add_flags, confined, numbers, path_places, printed, set_by
+from xfemnav.pipeline.asking.dimension import in_its_dimension
+from xfemnav.pipeline.asking.displacements import read_displacements
+from xfemnav.pipeline.asking.flags import add_flags, confined, path_places, printed, set_by
 from xfemnav.pipeline.asking.parameters import (
     KINDS,
     CarryParams,
@@ -52,12 +50,6 @@ from xfemnav.pipeline.asking.whereabouts import Known, found_again
 
 if TYPE_CHECKING:
     from xfemnav.pipeline.asking.scenario import Scenario
-
-TABLE_BYTES = 10_000_000
-TABLE = {"no file": ("E408", "{name} is a folder, pipe or device, not a file. Correct the path."),
-         "empty": ("E408", "{name} is empty (0 bytes). Write it again."),
-         "large": ("E408", "{name} holds {size}; at most {limit} are read. Is it a table of displacements?"),
-         "unread": ("E408", "{name} cannot be read: {reason}. Copy it again.")}
 
 NO_CUT = "nothing moves: give a cut (⟦cut=x,y x,y ...⟧), a resection, gravity, or a measured boundary"
 
@@ -174,6 +166,7 @@ def scenario_problems(path: Path) -> list[str]:
 
 
 def _resolved(s: "Scenario", files: dict[str, Path], changed: dict, also_read: tuple[Path, ...]) -> Config:
+    s = in_its_dimension(s)
     basis = taken(Basis, s.solve).suiting(s.solve.model)
     own = {name: value for name, value in asdict(basis).items() if name in type(s.solve).model_fields}
     s = s.model_copy(update={"solve": s.solve.model_copy(update=own)})
@@ -191,11 +184,12 @@ def _resolved(s: "Scenario", files: dict[str, Path], changed: dict, also_read: t
         also_read=(*also_read, *held),
         max_memory_gb=s.max_memory_gb, strict=s.strict,
         read=ReadParams(s.volume, s.nan, s.spacing, s.nifti_frame),
-        segment=SegmentParams(s.slice.plane, s.slice.index, s.slice.position_mm, s.segment.method, s.segment.skull,
-                              s.resample_mask),
+        segment=SegmentParams(s.dimension, s.slice.plane, s.slice.index, s.slice.position_mm, s.segment.method,
+                              s.segment.skull, s.resample_mask),
         mesh=_mesh_params(s, drawn), steps=_steps(s, drawn, files.get("boundary.displacement"), given),
         solve=SolveParams(),
-        warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill, s.warp.transforms),
+        warp=WarpParams(s.warp.interp, s.warp.outside, s.warp.fill, s.warp.transforms,
+                        s.warp.transform_spacing_mm),
         carry=CarryParams(tuple(item for item, _ in carried), s.warp.interp, s.warp.outside, s.warp.fill,
                           s.space if s.surfaces else "ras"),
         figure=FigureParams(s.display),
@@ -213,21 +207,25 @@ class Drawn:
 
     cuts: tuple[tuple[tuple, str], ...]
     resections: tuple[tuple[tuple | None, str], ...]
+    forms: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, s: "Scenario", files: dict[str, Path]) -> "Drawn":
         """From the scenario, or from the point files that it names, which say their own frame."""
-        cuts = tuple(_path(cut.points, cut.markup, s.space, files.get(f"cut.{i}.markups"), cut.smooth)
+        cuts = tuple(_path(cut.points, cut.markup, s.space, files.get(f"cut.{i}.markups"), cut.smooth, s.dimension)
                      for i, cut in enumerate(s.cut))
-        return cls(cuts, tuple(_path(r.outline, r.markup, s.space, files.get(f"resect.{i}.markups"), False)
-                               for i, r in enumerate(s.resect)))
+        outlines = tuple(_path(r.outline, r.markup, s.space, files.get(f"resect.{i}.markups"), False)[:2]
+                         for i, r in enumerate(s.resect))
+        return cls(tuple(cut[:2] for cut in cuts), outlines, tuple(form for _, _, form in cuts))
 
 
-def _path(points, markup: str | None, space: str, file: Path | None, smooth: bool):
+def _path(points, markup: str | None, space: str, file: Path | None, smooth: bool, dimension: int = 2):
+    form = ""
     if file is not None:
         from xfemnav.imaging.points.point_files import read_points
 
-        found = read_points(file, name=markup)
+        found = read_points(file, name=markup, planes=dimension > 2)
+        form = found.kind
         if found.form is not None and not found.form.stated:
             raise XfemnavError("E308", f"{file.name} does not say in which frame its x,y,z count. Name the columns "
                                        "r,a,s or l,p,s, or put its coordsystem.json beside it.")
@@ -236,7 +234,7 @@ def _path(points, markup: str | None, space: str, file: Path | None, smooth: boo
         from xfemnav.imaging.points.splines import drawn
 
         points = tuple(map(tuple, drawn(points, closed=False)[0].tolist()))
-    return points, space
+    return points, space, form
 
 
 def _carried(s: "Scenario", files: dict[str, Path]):
@@ -269,6 +267,9 @@ def _filled(r, s: "Scenario"):
 
 def _mesh_params(s: "Scenario", drawn: Drawn) -> MeshParams:
     """Sizes; the cuts and drawn resections are in it only where they draw the corridor."""
+    if s.dimension > 2:
+        return MeshParams(False, s.mesh.element_size_mm, s.mesh.corridor_mm, s.mesh.corridor_element_mm, (), None,
+                          _cuts(s, drawn))
     uniform = MeshParams(False, s.mesh.element_size_mm, 0.0, None, (), _data_ends(s, drawn))
     if s.mesh.file is not None:
         return replace(uniform, from_file=True, element_size_mm=None, data_ends=None)
@@ -281,8 +282,9 @@ def _mesh_params(s: "Scenario", drawn: Drawn) -> MeshParams:
 
 
 def _cuts(s: "Scenario", drawn: Drawn) -> tuple[CutParams, ...]:
-    return tuple(CutParams(cut.name, points, space, cut.craniotomy, cut.internal, None)
-                 for cut, (points, space) in zip(s.cut, drawn.cuts))
+    return tuple(CutParams(cut.name, points, space, cut.craniotomy, cut.internal, None, form, cut.towards, s.space,
+                           cut.depth_mm)
+                 for cut, (points, space), form in zip(s.cut, drawn.cuts, drawn.forms))
 
 
 def _data_ends(s: "Scenario", drawn: Drawn) -> DataEnds | None:
@@ -336,7 +338,7 @@ def _constrain_params(s: "Scenario", drawn: Drawn, measured: Path | None, given:
         cuts=_cuts(s, drawn), later_cuts=(),
         retractions=tuple(
             Retraction(names.index(r.cut), LEFT if r.side == "left" else RIGHT, r.displacement_mm,
-                          r.normal_mm, r.force_mN_per_mm, r.blade, known, r.relative_to)
+                          r.normal_mm, r.force_mN_per_mm, r.blade, known, r.relative_to, r.blade_along)
             for r, known in zip(s.retract, given)),
         resections=tuple(ResectParams(r.name, points, space, r.labels, i if r.mask is not None else None, None)
                          for i, (r, (points, space)) in enumerate(zip(s.resect, drawn.resections))),
@@ -358,7 +360,7 @@ def _skull(boundary, measured: Path | None) -> Skull:
     motion = measured and Measured(read_displacements(measured), boundary.displacement_weight)
     arcs = tuple(Arc(arc.start, arc.end, arc.skull, arc.skull_gap_mm) for arc in boundary.arc)
     return Skull(boundary.skull, boundary.craniotomy_mm, boundary.skull_ramp_mm, boundary.skull_gap_mm, arcs,
-                 measured=motion)
+                 openings=boundary.craniotomies, measured=motion)
 
 
 def _loads(load, resections: list[str]) -> Loads:
@@ -373,24 +375,3 @@ def _label(label: int, item, rest: Solid) -> LabelParams:
     young = item.young_kpa if item.young_kpa is not None else times * rest.young_kpa
     own = item.poisson if item.poisson is not None else poisson
     return LabelParams(label, replace(rest, young_kpa=young, poisson=rest.poisson if own is None else own))
-
-
-def read_displacements(path: Path) -> tuple[tuple[float, ...], ...]:
-    """Rows x, y, ux, uy[, side] (plane mm in the run's space) of a CSV with that header. Raises E100 and E408."""
-    try:
-        table = list(csv.reader(io.StringIO(decoded(file_bytes(path, TABLE_BYTES, TABLE)), newline="")))
-    except (ValueError, csv.Error) as error:
-        raise XfemnavError("E408", f"{path.name} is no table: {error}.") from None
-    header = [name.strip() for name in table[0]] if table else []
-    if header not in (["x", "y", "ux", "uy"], ["x", "y", "ux", "uy", "side"]):
-        raise XfemnavError("E408", f"{path.name} starts with {','.join(header)[:60]!r}; its first line must be "
-                                   "x,y,ux,uy or x,y,ux,uy,side.")
-    rows = [row for row in table[1:] if row]
-    for line, row in enumerate(rows, start=2):
-        values = numbers(",".join(row))
-        if values is None or len(values) != len(header) or not all(map(math.isfinite, values)):
-            raise XfemnavError("E408", f"line {line} of {path.name} is not {len(header)} finite numbers: "
-                                       f"{str(row)[:200]}.")
-    if len(rows) < 2:
-        raise XfemnavError("E408", f"{path.name} has {len(rows)} rows; give the motion of at least two points.")
-    return tuple(tuple(map(float, row)) for row in rows)

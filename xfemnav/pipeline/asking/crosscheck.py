@@ -6,6 +6,7 @@ It reads the raw scenario, so that these problems are told even when a section h
 import difflib
 from itertools import chain
 
+from xfemnav.pipeline.asking.dimension import dimension_problems
 from xfemnav.pipeline.asking.flags import tables
 from xfemnav.pipeline.keeping.names import slug
 
@@ -14,7 +15,8 @@ GRAVITY, OUTLINE = "gravity", "outline"
 
 def cross_problems(raw: dict) -> list[str]:
     """One line a problem."""
-    return [*_repeated(raw), *_retractions(raw), *_voxels(raw), *_resections(raw), *_pressures(raw), *_steps(raw)]
+    return [*_repeated(raw), *_retractions(raw), *_voxels(raw), *_resections(raw), *_pressures(raw), *_steps(raw),
+            *dimension_problems(raw)]
 
 
 def retraction_name(retract: dict, first_cut: str) -> str:

@@ -23,6 +23,7 @@ PATHS = ("image", "mask", "segment.template", "segment.template_mask", "mesh.fil
 BACKSLASH = ("In double quotes a backslash begins an escape: write a path of Windows in single quotes, 'C:\\Users', or "
              "with /.")
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
+NUMBERS = {2: "two", 3: "three"}
 MARKUPS = (".json", ".fcsv", ".csv", ".tsv", ".tag")
 MASKS = (".nii", ".nii.gz", ".nrrd", ".mha", ".mgz")
 
@@ -154,6 +155,10 @@ def _add_cuts(raw: dict, given: dict, found: list[str], files: dict[str, Path]) 
                 item["points"] = _points(cut, "cut", found)
     if "markup" in given:
         raw["cut"] = [item | {"markup": given["markup"]} if "markups" in item else item for item in tables(raw, "cut")]
+    for name in ("towards", "depth_mm"):
+        if name in given:
+            said = _vector(given[name], name, "X,Y,Z", found, 3) if name == "towards" else given[name]
+            raw["cut"] = [item | {name: said} for item in tables(raw, "cut")]
     if given.get("internal", False) is not False:
         raw["cut"] = [item | {"internal": given["internal"]} for item in tables(raw, "cut")]
 
@@ -215,12 +220,13 @@ def _names_a_file(value, endings: tuple[str, ...]) -> bool:
 
 def _add_lips(raw: dict, given: dict, found: list[str]) -> None:
     """`left`, `right`, `lip_force`, `opening_mm` hold the lips of the first cut; `blade` is for all of them."""
-    lips = [{"side": side} | _moved(given[side], side, found) for side in ("left", "right") if side in given]
+    n = 3 if raw.get("dimension") == 3 else 2
+    lips = [{"side": side} | _moved(given[side], side, found, n) for side in ("left", "right") if side in given]
     for text in _repeated(given.get("lip_force", [])):
         side, _, force = text.partition("=") if isinstance(text, str) else ("", "", "")
         pair = numbers(force)
-        if side not in ("left", "right") or not _is_point(pair) or len(pair) != 2:
-            found.append(f"⟦!lip_force⟧: wants left=FX,FY or right=FX,FY, got {shown(text)}")
+        if side not in ("left", "right") or not _is_point(pair) or len(pair) != n:
+            found.append(f"⟦!lip_force⟧: wants {_in_space('left=FX,FY or right=FX,FY', n)}, got {shown(text)}")
         else:
             lips.append({"side": side, "force_mN_per_mm": pair})
     if "opening_mm" in given:
@@ -241,11 +247,12 @@ def _add_lips(raw: dict, given: dict, found: list[str]) -> None:
         kept = [item for item in tables(raw, "retract")
                 if not (item.get("cut", first) == first and item.get("side") in sides)]
         raw["retract"] = kept + [{"cut": first} | lip for lip in lips]
-    if "blade" in given:
-        blade = _span(given["blade"], found)
-        if not tables(raw, "retract"):
-            found.append("⟦!blade⟧: no lip is moved or pulled (⟦!left⟧, ⟦!right⟧, ⟦!lip_force⟧, ⟦!opening_mm⟧)")
-        raw["retract"] = [item | {"blade": blade} for item in tables(raw, "retract")]
+    for name in ("blade", "blade_along"):
+        if name in given:
+            blade = _span(given[name], name, found)
+            if not tables(raw, "retract"):
+                found.append(f"⟦!{name}⟧: no lip is moved or pulled (⟦!left⟧, ⟦!right⟧, ⟦!lip_force⟧, ⟦!opening_mm⟧)")
+            raw["retract"] = [item | {name: blade} for item in tables(raw, "retract")]
 
 
 def tables(raw: dict, name: str) -> list[dict]:
@@ -297,35 +304,42 @@ def _points_meant(text: str, name: str) -> str:
     return f"; did you mean ⟦!{name}={pairs}⟧?"
 
 
-def _moved(value, side: str, found: list[str]) -> dict:
+def _moved(value, side: str, found: list[str], n: int) -> dict:
     """A lip's displacement of "3.5,1" or a pair, or how far it moves away from the other lip of one number."""
     alone = numbers(value) if isinstance(value, str) else [value]
     if alone is not None and len(alone) == 1 and real(alone[0]) is not None:
         return {"normal_mm": real(alone[0])}
-    return {"displacement_mm": _vector(value, side, "DX,DY, or one, mm away from the other lip", found)}
+    return {"displacement_mm": _vector(value, side, "DX,DY, or one, mm away from the other lip", found, n)}
 
 
-def _span(value, found: list[str]) -> list[float]:
+def _span(value, name: str, found: list[str]) -> list[float]:
     """The held part of a cut."""
     known = len(found)
-    span = _vector(value, "blade", "FROM,TO", found)
+    span = _vector(value, name, "FROM,TO", found)
     if len(found) > known:
         return list(BLADE)
     if not 0 <= span[0] < span[1] <= 1:
-        percent = f"; in percent, it is ⟦!blade={span[0] / 100:g},{span[1] / 100:g}⟧" if 1 < span[1] <= 100 else ""
-        found.append(f"⟦!blade⟧: blade must be FROM,TO with 0 <= FROM < TO < 1, 0 the mouth and 1 the tip, got "
+        percent = f"; in percent, it is ⟦!{name}={span[0] / 100:g},{span[1] / 100:g}⟧" if 1 < span[1] <= 100 else ""
+        ends = "0 the mouth and 1 the tip" if name == "blade" else "0 the first point and 1 the last"
+        found.append(f"⟦!{name}⟧: {name} must be FROM,TO with 0 <= FROM < TO < 1, {ends}, got "
                      f"{span[0]:g},{span[1]:g}{percent}")
         return list(BLADE)
     return span
 
 
-def _vector(value, name: str, form: str, found: list[str]) -> list[float]:
-    """Two numbers of "3.5,1" or of a pair."""
-    pair = numbers(value) if isinstance(value, str) else value
-    if not _is_point(pair) or len(pair) != 2:
-        found.append(f"⟦!{name}⟧: wants two finite numbers {form}, none over {LARGEST:g}, got {shown(value)}")
-        return [0.0, 0.0]
-    return pair
+def _vector(value, name: str, form: str, found: list[str], n: int = 2) -> list[float]:
+    """n numbers of "3.5,1" or of a pair: in a volume three, of the form DX,DY,DZ."""
+    vector = numbers(value) if isinstance(value, str) else value
+    if not _is_point(vector) or len(vector) != n:
+        found.append(f"⟦!{name}⟧: wants {NUMBERS[n]} finite numbers {_in_space(form, n)}, none over {LARGEST:g}, got "
+                     f"{shown(value)}")
+        return [0.0] * n
+    return vector
+
+
+def _in_space(form: str, n: int) -> str:
+    """How n numbers are written that are two in the plane."""
+    return re.sub(r"([DF]?)X,[DF]?Y\b(?!,)", r"\1X,\1Y,\1Z", form) if n == 3 else form
 
 
 def numbers(text: str) -> list[float] | None:

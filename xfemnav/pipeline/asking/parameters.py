@@ -23,8 +23,9 @@ class ReadParams:
 
 @dataclass(frozen=True)
 class SegmentParams:
-    """Which slice, and how the organ is found in it."""
+    """Which slice, or with `dimension` 3 the whole volume, and how the organ is found in it."""
 
+    dimension: int
     plane: str | None
     index: int | None
     position_mm: float | None
@@ -35,7 +36,11 @@ class SegmentParams:
 
 @dataclass(frozen=True)
 class CutParams:
-    """One drawn cut, points in `space`; `drawn_after`: the step in whose deformed slice it was drawn, None for none."""
+    """One drawn cut, points in `space`; `drawn_after`: the step in whose deformed slice it was drawn, None for none.
+
+    In a volume: `form` "Plane" of four corners in order, else a curve on the surface, swept `towards` a point in
+    `towards_space`, and to `depth_mm`.
+    """
 
     name: str
     points: tuple[tuple[float, ...], ...]
@@ -43,6 +48,10 @@ class CutParams:
     craniotomy: bool
     internal: bool
     drawn_after: int | None
+    form: str = ""
+    towards: tuple[float, ...] | None = None
+    towards_space: str = "ras"
+    depth_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,8 @@ class DataEnds:
 class MeshParams:
     """Sizes of the elements; `corridor` are paths and the space of each, empty when the mesh is uniform.
 
-    Only `data_ends`, None unless asked for, make a mesh depend on blades and skull.
+    Only `data_ends`, None unless asked for, make a mesh depend on blades and skull. `sheets`: in a volume the cuts
+    about which the mesh is fine.
     """
 
     from_file: bool
@@ -87,6 +97,7 @@ class MeshParams:
     corridor_element_mm: float | None
     corridor: tuple[tuple[tuple[tuple[float, ...], ...], str], ...]
     data_ends: DataEnds | None
+    sheets: tuple[CutParams, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,6 +134,7 @@ class WarpParams:
     outside: str
     fill: float | None
     transforms: str
+    transform_spacing_mm: float | None = None
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ OWN_CODES = {
 
 Real = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Whole = Annotated[int, Field(le=int(LARGEST))]
-Vector = Annotated[tuple[Real, Real], Strict(False)]
-Point = Annotated[tuple[Real, ...], Strict(False), Field(min_length=2, max_length=3)]
+Pair = Annotated[tuple[Real, Real], Strict(False)]
+Point = Vector = Annotated[tuple[Real, ...], Strict(False), Field(min_length=2, max_length=3)]  # 3 in a volume
 Points = Annotated[tuple[Point, ...], Strict(False)]
 Path_ = Annotated[str, Field(min_length=1, max_length=4096)]
 Paths_ = Annotated[tuple[Path_, ...], Strict(False), Field(max_length=200)]
@@ -100,6 +100,8 @@ class CutSection(Section):
         None, description="point file in place of `points`: .mrk.json, .fcsv, .csv, .tsv, .tag; it says its own frame")
     markup: str | None = Field(None, description="which markup of a file with several")
     smooth: bool = Field(False, description="the points are those of a smooth curve, sampled to 0.05 mm")
+    towards: Point | None = Field(None, description="in a volume: where a curve is swept to, world mm")
+    depth_mm: Positive | None = Field(None, description="in a volume: how deep a curve goes below the surface, mm")
     craniotomy: bool = Field(True, description="false: this mouth frees nothing at the skull")
     internal: bool = Field(False, description="the cut lies inside, with two tips")
 
@@ -122,24 +124,23 @@ class RetractSection(Section):
     displacement_mm: Vector | None = Field(None, description="displacement of the lip in the plane, mm")
     normal_mm: Real | None = Field(None, description="displacement away from the other lip, mm")
     force_mN_per_mm: Vector | None = Field(None, description="force on the lip, mN per mm of thickness")
-    blade: Vector | None = Field(None, description="held part of the cut: 0 at the mouth, 1 at the tip")
+    blade: Pair | None = Field(None, description="held part of the cut (volume: of its depth), 0 the mouth, 1 the tip")
+    blade_along: Pair | None = Field(None, description="in a volume: held part along the mouth, by its points")
     relative_to: Literal[RELATIVE_TO] | None = Field(
         None, description="from where the lip's displacement counts: where it lies under all that acts but blades, or "
                           "its preoperative place; left out: loads for normal_mm, rest for displacement_mm")
 
     @model_validator(mode="after")
-    def _one_datum(self):
+    def _one_datum_on_the_cut(self):
         given = [self.displacement_mm, self.normal_mm, self.force_mN_per_mm]
         if sum(value is not None for value in given) != 1:
             raise ValueError("give exactly one of displacement_mm, normal_mm, force_mN_per_mm")
         if self.force_mN_per_mm is not None and self.relative_to is not None:
             raise ValueError("relative_to is for displacement_mm and normal_mm; a force counts from nowhere")
-        return self
-
-    @model_validator(mode="after")
-    def _blade_on_the_cut(self):
-        if self.blade is not None and not 0 <= self.blade[0] < self.blade[1] <= 1:
-            raise ValueError("blade must be FROM,TO with 0 <= FROM < TO < 1, 0 the mouth and 1 the tip")
+        for name, ends in (("blade", "0 the mouth and 1 the tip"), ("blade_along", "0 the first point and 1 the last")):
+            span = getattr(self, name)
+            if span is not None and not 0 <= span[0] < span[1] <= 1:
+                raise ValueError(f"{name} must be FROM,TO with 0 <= FROM < TO < 1, {ends}")
         return self
 
 
@@ -204,8 +205,8 @@ class TissueSection(_keys("tissue")):
 class ArcSection(Section):
     """A part of the outline with a skull of its own: counter-clockwise from near `start` to near `end`."""
 
-    start: Vector = Field(description="plane mm, read in `space`")
-    end: Vector = Field(description="plane mm, read in `space`")
+    start: Pair = Field(description="plane mm, read in `space`")
+    end: Pair = Field(description="plane mm, read in `space`")
     skull: Literal[SKULLS] = Field(description="what the skull does there")
     skull_gap_mm: NotNegative = Field(0.0, description="gap to the skull, for contact")
 
@@ -216,6 +217,7 @@ class BoundarySection(_keys("boundary")):
     displacement_weight: Positive | None = Field(
         None, description="kPa/mm: follow the measured motion by springs this stiff (least squares); else exactly")
     arc: Annotated[tuple[ArcSection, ...], Strict(False), MANY] = ()
+    craniotomies: Annotated[Points, MANY] = Field((), description="where the skull is open without a cut")
 
 
 class PressureSection(Section):

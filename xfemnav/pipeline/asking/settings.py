@@ -37,6 +37,20 @@ GROUPS = {INPUT: "segment", ORGAN: "segment", CUTS: "constrain", RESECTION: "con
           TISSUE: "constrain", SOLVER: "constrain", IMAGE: "warp", CARRIED: "warp", CONTROL: ""}
 
 
+class SolidDefaults(NamedTuple):
+    """What is left out is this in a volume: sizes of elements, mm, and what has no contact there yet."""
+
+    element_size_mm: float = 5.0
+    corridor_mm: float = 4.0
+    corridor_element_mm: float = 1.25
+    lips: str = "free"
+    lip_constraint: str = "nitsche"
+    tip_enrichment: str = "none"
+
+
+SOLID = SolidDefaults()
+
+
 class Setting(NamedTuple):
     """A flag: the key of the scenario that it is ("" where it is no single one), what it is when it is not given, its
     heading in the help, and what it means, with units.
@@ -78,21 +92,33 @@ class Flags(TypedDict, total=False):
 
     cut: Annotated[Drawn | None, Setting(
         "", (), CUTS, "points of a cut, mouth first, of 2 numbers each (plane mm) or 3 (world mm): 'x,y x,y ...', or a "
-        "point file (.mrk.json, .fcsv, .csv, .tsv, .tag)", "'X,Y X,Y ...'|FILE", stage="mesh")]
+        "point file (.mrk.json, .fcsv, .csv, .tsv, .tag); in a volume a curve on the surface, or a Plane of Slicer's",
+        "'X,Y X,Y ...'|FILE", stage="mesh")]
+    towards: Annotated[str | Sequence[float] | None, Setting(
+        "", None, CUTS, "in a volume: the deep point that the curves of cuts are swept to, world mm", "X,Y,Z",
+        stage="mesh")]
+    depth_mm: Annotated[float | None, Setting(
+        "", None, CUTS, "in a volume: how deep cuts go below the surface, mm; without a target along its normal", "D",
+        stage="mesh")]
     markup: Annotated[str | None, Setting(
         "", None, CUTS, "which markup of a point file with several", "NAME", stage="mesh")]
     internal: Annotated[bool | None, Setting("", False, CUTS, "the cuts lie inside, with two tips")]
     left: Annotated[str | float | Collection[float] | None, Setting(
-        "", None, CUTS, "displacement of the first cut's left lip, plane mm: 'dx,dy'; or mm away from the other lip",
-        "DX,DY|X")]
+        "", None, CUTS, "displacement of the first cut's left lip, plane mm: 'dx,dy', in a volume world mm: "
+                        "'dx,dy,dz'; "
+        "or mm away from the other lip", "DX,DY|X")]
     right: Annotated[str | float | Collection[float] | None, Setting(
         "", None, CUTS, "the same of its right lip", "DX,DY|X")]
     lip_force: Annotated[str | Sequence[str] | None, Setting(
-        "", (), CUTS, "force on a lip of the first cut, mN per mm of thickness: 'left=fx,fy'", "left=FX,FY")]
+        "", (), CUTS, "force on a lip of the first cut, mN per mm of thickness: 'left=fx,fy'; in a volume mN: "
+        "'left=fx,fy,fz'", "left=FX,FY")]
     opening_mm: Annotated[float | None, Setting("", None, CUTS, "opens the first cut along its normal, mm in all", "X")]
     blade: Annotated[str | Collection[float] | None, Setting(
-        "", None, CUTS, "held part of the cuts: 'from,to', 0 at the mouth, 1 at the tip; left out: "
-        f"{BLADE[0]:g} to {BLADE[1]:g}", "FROM,TO")]
+        "", None, CUTS, "held part of the cuts, in a volume of their depth: 'from,to', 0 at the mouth, 1 at the tip; "
+        f"left out: {BLADE[0]:g} to {BLADE[1]:g}", "FROM,TO")]
+    blade_along: Annotated[str | Collection[float] | None, Setting(
+        "", None, CUTS, "in a volume: held part of the cuts along the mouth, 0 at the first point, 1 at the last; left "
+        "out: all", "FROM,TO")]
     resect: Annotated[Drawn | None, Setting(
         "", (), RESECTION, "closed outline of what is taken out, drawn as a cut, or a point file with it; or a mask, "
         "or labels of the label map: 'label=n,n'", "'X,Y X,Y ...'|FILE|label=N,N", stage="mesh")]
@@ -108,6 +134,9 @@ class Flags(TypedDict, total=False):
         "companion.*.order", None, CARRIED, "of a tensor's six components: xx xy xz yy yz zz; xx yy zz xy xz yz; xx xy "
         "yy xz yz zz; left out: as the file states, else fsl", choices=("fsl", "mrtrix", "nifti"))]
 
+    dim: Annotated[int | None, Setting(
+        "dimension", 2, INPUT, "2: one slice of the image; 3: the whole volume, cut by surfaces", "2|3",
+        bounds=(("ge", 2), ("le", 3)))]
     mask: Annotated[AnyPath | None, Setting(
         "mask", None, ORGAN, "the organ, on the image's grid: a slice or a volume", "FILE")]
     space: Annotated[str | None, Setting(
@@ -181,17 +210,21 @@ class Flags(TypedDict, total=False):
 
     gravity: Annotated[str | Sequence[float] | None, Setting(
         "load.gravity", None, TISSUE, "direction in the plane, plane RAS; its length, at most 1, is the share of "
-        "gravity there", "X,Y")]
+        "gravity there; in a volume of three numbers, world RAS", "X,Y")]
 
     mesh: Annotated[AnyPath | None, Setting(
         "mesh.file", None, MESH, "VTU of triangles in RAS mm, in place of the mesh stage", "FILE.vtu")]
     element_size_mm: Annotated[float | None, Setting(
-        "mesh.element_size_mm", 3.0, MESH, "edge length of the elements", "H", bounds=POSITIVE)]
+        "mesh.element_size_mm", 3.0, MESH, "edge length of the elements; in a volume, unless it is given, "
+                                           f"{SOLID.element_size_mm:g}",
+        "H", bounds=POSITIVE)]
     corridor_mm: Annotated[float | None, Setting(
-        "mesh.corridor_mm", 12.0, MESH, "width of the fine band on either side of the cuts; 0 for none", "W",
-        bounds=NOT_NEGATIVE)]
+        "mesh.corridor_mm", 12.0, MESH, "width of the fine band on either side of the cuts; 0 for none; in a volume, "
+                                        "unless it "
+        f"is given, {SOLID.corridor_mm:g}", "W", bounds=NOT_NEGATIVE)]
     corridor_element_mm: Annotated[float | None, Setting(
-        "mesh.corridor_element_mm", 1.0, MESH, "edge length of the elements there", "H", bounds=POSITIVE)]
+        "mesh.corridor_element_mm", 1.0, MESH, "edge length of the elements there; in a volume, unless it is given, "
+        f"{SOLID.corridor_element_mm:g}", "H", bounds=POSITIVE)]
     grade_at_data_ends: Annotated[bool | None, Setting(
         "mesh.grade_at_data_ends", False, MESH, "finer where held lips end and where the outline begins to be held, "
         "for verification")]
@@ -215,6 +248,9 @@ class Flags(TypedDict, total=False):
     fill: Annotated[float | None, Setting(
         "warp.fill", None, IMAGE, "value of pixels without tissue; left out: each image's own background, from its "
         "corners", "VALUE")]
+    transform_spacing_mm: Annotated[float | None, Setting(
+        "warp.transform_spacing_mm", None, IMAGE, "in a volume: distance of the vectors in transforms; left out: the "
+        "image's", "H", bounds=POSITIVE)]
     transforms: Annotated[str | None, Setting(
         "warp.transforms", "itk", IMAGE, "the motion for other programs: one ITK transform for viewers, or every form "
         "and direction", choices=("none", "itk", "all"))]
@@ -248,7 +284,32 @@ FLAGS = {name: setting.place for name, setting in TABLE.items()
 KEYS = {
     "cut": "cut.points", "markup": "cut.markup", "internal": "cut.internal", "left": "retract.displacement_mm",
     "right": "retract.displacement_mm", "lip_force": "retract.force_mN_per_mm", "opening_mm": "retract.normal_mm",
-    "blade": "retract.blade", "resect": "resect.outline", "kind": "companion.kind", "axes": "companion.axes",
+    "blade": "retract.blade", "blade_along": "retract.blade_along", "towards": "cut.towards",
+    "depth_mm": "cut.depth_mm", "resect": "resect.outline", "kind": "companion.kind", "axes": "companion.axes",
     "tensor_order": "companion.order", "companion": "companion.image", "points": "points",
     "streamlines": "streamlines", "surfaces": "surfaces",
+}
+#: Keys that only a slice has, and why a volume has none of them.
+OF_A_SLICE = {
+    "slice.plane": "the whole volume is used", "slice.index": "the whole volume is used",
+    "slice.position_mm": "the whole volume is used",
+    "segment.template": "a volume takes a mask, or a stripped image",
+    "segment.template_mask": "a volume takes a mask, or a stripped image",
+    "mesh.file": "its mesh is made from the mask", "mesh.corridor": "its corridor is about the cuts",
+    "mesh.grade_at_data_ends": "it is graded by the distance from the cuts alone",
+    "boundary.displacement": "the measured motion of a surface in space is not read yet",
+    "boundary.arc": "a place without skull is one of boundary.craniotomies", "resect": "it cuts, and takes nothing out "
+                                                                                       "yet",
+    "step": "it has one step", "load.pressure": "nothing is taken out whose wall could be pressed",
+    "solve.hold_tip": "its front has no tip cell",
+}
+#: Values that a volume does not know, and why.
+UNKNOWN_IN_SPACE = {
+    "boundary.lips": ("contact", "in a volume lips do not touch each other yet, and overlap is judged"),
+    "boundary.skull": ("contact", "in a volume the skull is fixed, sliding or free"),
+    "boundary.loose_pieces": ("hold", "in a volume a loose piece is refused or removed"),
+    "solve.lip_constraint": (("mortar", "pointwise"), "in a volume lips are held by Nitsche's condition"),
+    "solve.tip_enrichment": (("topological", "geometric"), "fronts in a volume have no tip functions"),
+    "solve.stress_state": ("stress", "in space there is but one"),
+    "solve.model": ("neo-hookean", "in a volume strains are small"),
 }

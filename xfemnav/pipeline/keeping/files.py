@@ -4,6 +4,7 @@ meshio is unmaintained: it only writes, here and where the doctor looks at surfa
 `xfemnav.imaging`.
 """
 
+import base64
 import gzip
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from xfemnav.geometry.mesh import Mesh, orient
 
 LEVEL = 1  # of zlib: noisy images are 2 % larger than at 6, in 3/4 of its time
 LARGEST = 2_000_000_000  # bytes of a mesh, as a file and unpacked
+CELLS = {3: "triangle", 4: "tetra"}  # meshio's words, by the number of corners
+SIMPLICES = {3: "triangles", 4: "tetrahedra"}
 SAME_MM = 1e-6  # corners of neighbouring triangles closer than this, at rest and moved, are one vertex
 
 
@@ -28,18 +31,45 @@ def nifti_bytes(image) -> bytes:
 
 
 def write_vtu(path: Path, points, cells, point_data: dict | None = None, cell_data: dict | None = None) -> None:
-    """Write triangles: `points` (n, 3) world RAS mm, `cells` (m, 3), data by name with one row a point or cell."""
+    """Write triangles or tetrahedra: `points` (n, 3) world RAS mm, `cells` (m, 3 or 4), data by name with one row a
+    point or cell."""
     import meshio
 
     from xfemnav.imaging.reading.content import silenced
 
     cell_data = {name: [values] for name, values in (cell_data or {}).items()}
     with silenced():
-        meshio.Mesh(points, [("triangle", cells)], point_data or {}, cell_data).write(path, file_format="vtu")
+        mesh = meshio.Mesh(points, [(CELLS[cells.shape[1]], cells)], point_data or {}, cell_data)
+        mesh.write(path, file_format="vtu")
 
 
-def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = ()):
-    """The triangles of a VTU file and the point data `wanted`, all of them numbers and within reach: a Grid.
+def write_vtp(path: Path, corners, cell_data: dict | None = None) -> None:
+    """Write triangles (f, 3, 3) mm, world RAS, as polygons whose file says so; corners that coincide are one point."""
+    points, triangles = np.unique(np.rint(np.reshape(corners, (-1, 3)) / SAME_MM), axis=0, return_inverse=True)
+    n = len(triangles) // 3
+
+    def array(values, kind: str, name: str, attributes: str = "") -> str:
+        values = np.ascontiguousarray(values)
+        packed = base64.b64encode(np.uint32(values.nbytes).tobytes() + values.tobytes()).decode()
+        return f'<DataArray type="{kind}" Name="{name}"{attributes} format="binary">{packed}</DataArray>'
+
+    text = (
+        '<?xml version="1.0"?>\n<VTKFile type="PolyData" version="0.1" byte_order="LittleEndian" '
+        f'header_type="UInt32">\n<PolyData>\n<FieldData><DataArray type="String" Name="SPACE" NumberOfTuples="1" '
+        f'format="ascii">{" ".join(str(code) for code in (*b"RAS", 0))}</DataArray></FieldData>\n'
+        f'<Piece NumberOfPoints="{len(points)}" NumberOfPolys="{n}">\n<CellData>'
+        + "".join(array(np.asarray(values, "<f8"), "Float64", name) for name, values in (cell_data or {}).items())
+        + "</CellData>\n<Points>" + array((points * SAME_MM).astype("<f8"), "Float64", "Points",
+                                          ' NumberOfComponents="3"')
+        + "</Points>\n<Polys>" + array(triangles.ravel().astype("<i8"), "Int64", "connectivity")
+        + array(3 * np.arange(1, n + 1, dtype="<i8"), "Int64", "offsets")
+        + "</Polys>\n</Piece>\n</PolyData>\n</VTKFile>\n")
+    path.write_text(text)
+
+
+def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = (), corners: int = 3):
+    """The triangles of a VTU file, or its tetrahedra, of 4 `corners`, and the point data `wanted`, all of them numbers
+    and within reach: a Grid.
 
     Raises E100, E102, E106, and the error `code` when it is none.
     """
@@ -51,11 +81,12 @@ def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = ()):
     if b"<VTKFile" not in content[:2000]:
         raise XfemnavError(code, f"{path.name} is no VTU file. Write it as VTU, for instance with meshio or ParaView.")
     try:
-        found = grid(content, path.name, wanted, LARGEST)
+        found = grid(content, path.name, wanted, LARGEST, corners)
     except XfemnavError as error:
         raise XfemnavError(code if error.code == "E701" else error.code, error.text) from None
-    if len(found.triangles) == 0:
-        raise XfemnavError(code, f"{path.name} holds no triangles. Write a VTU of triangles in mm (RAS).")
+    if len(found.cells) == 0:
+        what = SIMPLICES[corners]
+        raise XfemnavError(code, f"{path.name} holds no {what}. Write a VTU of {what} in mm (RAS).")
     for what, values in (("points", found.points), *found.point_data.items()):
         if not (abs(values.astype(float)) <= FARTHEST).all():
             raise XfemnavError(code, f"{path.name} has {what} that are NaN, or over {FARTHEST:g} mm. Write it again, "
@@ -66,7 +97,7 @@ def read_vtu(path: Path, code: str, wanted: tuple[str, ...] = ()):
 def read_mesh(path: Path, slice, min_quality: float = 0.05) -> Mesh:
     """The user's mesh in the plane of `slice`: VTU triangles, world RAS mm. Raises E100 and E209."""
     found = read_vtu(path, "E209")
-    used, cells = np.unique(found.triangles, return_inverse=True)
+    used, cells = np.unique(found.cells, return_inverse=True)
     points, distance = slice.from_world(found.points[used])
     if abs(distance).max() > slice.thickness / 2 * (1 + 1e-6):
         raise XfemnavError("E209", f"{path.name} lies up to {abs(distance).max():.2f} mm off the slice, over half its "
@@ -106,24 +137,28 @@ def _checked_mesh(name: str, points, cells, min_quality: float) -> Mesh:
 
 
 def write_soup(path: Path, slice, rest, moved, cell_data: dict) -> None:
-    """Write the deformed triangles: points at rest, `displacement` (3) at the points, `cell_data` by triangle.
+    """Write the deformed simplices: points at rest, `displacement` (3) at the points, `cell_data` by simplex.
 
-    rest, moved (t, 3, 2) plane mm. Corners that are equal at rest and moved become one vertex: lips stay double.
+    rest, moved (t, d + 1, d) mm, in the plane of a slice or in space. Corners that are equal at rest and moved become
+    one vertex: lips stay double.
     """
-    both = np.concatenate([rest, moved], axis=2).reshape(-1, 4)
+    _, corners, d = rest.shape
+    both = np.concatenate([rest, moved], axis=2).reshape(-1, 2 * d)
     _, first, cells = np.unique(np.rint(both / SAME_MM), axis=0, return_index=True, return_inverse=True)
-    at_rest, displaced = both[first, :2], both[first, 2:] - both[first, :2]
-    write_vtu(path, slice.to_world(at_rest), cells.reshape(-1, 3), {"displacement": displaced @ slice.axes[:2]},
+    at_rest, displaced = both[first, :d], both[first, d:] - both[first, :d]
+    write_vtu(path, slice.to_world(at_rest), cells.reshape(-1, corners), {"displacement": displaced @ slice.axes[:d]},
               cell_data)
 
 
 def read_soup(path: Path, frame) -> tuple[np.ndarray, np.ndarray]:
-    """rest, moved (t, 3, 2) plane mm of the file that `write_soup` wrote. Raises E100 and E701."""
-    found = read_vtu(path, "E701", ("displacement",))
+    """rest, moved (t, d + 1, d) mm, in the plane of a Slice `frame` or in space, of the file that `write_soup` wrote.
+    Raises E100 and E701."""
+    d = frame.values.ndim
+    found = read_vtu(path, "E701", ("displacement",), d + 1)
     displacement = found.point_data.get("displacement", np.empty(0))
     if displacement.shape != found.points.shape:
         raise XfemnavError("E701", f"{path.name} has no point data 'displacement' of three components; it is no "
                                    "solution of xfemnav.")
     rest = frame.from_world(found.points)[0]
-    moved = rest + displacement @ frame.axes[:2].T
-    return rest[found.triangles], moved[found.triangles]
+    moved = rest + displacement @ frame.axes[:d].T
+    return rest[found.cells], moved[found.cells]

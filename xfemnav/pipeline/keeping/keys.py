@@ -58,8 +58,8 @@ def code_digest(layers: tuple[str, ...], root: Path = PACKAGE) -> str:
 
 @cache
 def own_digest(stage: str, root: Path = PACKAGE) -> str:
-    """sha256 of the stage's own module; of nothing where it has none."""
-    return source_digest(*root.glob(f"pipeline/stages/stage_{stage}.py"), root=root)
+    """sha256 of the stage's own modules, of slices and of volumes; of nothing where it has none."""
+    return source_digest(*root.glob(f"pipeline/stages/*_{stage}.py"), root=root)
 
 
 def source_digest(*sources: Path, root: Path = PACKAGE) -> str:

@@ -5,7 +5,8 @@ import re
 from pathlib import Path
 
 RECORD = "run.json"
-SCHEMA, LIMIT_BYTES = "xfemnav-run/1", 50_000_000  # of the record
+SCHEMA, LIMIT_BYTES = "xfemnav-run/2", 50_000_000  # of the record
+KNOWN_SCHEMAS = (SCHEMA, "xfemnav-run/1")  # that are read: those without a `dimension` are of slices
 LONGEST_NAME = 255  # bytes, on the usual file systems
 BIDS = re.compile(r"(sub-[A-Za-z0-9]+(?:_[a-z]+-[A-Za-z0-9]+)*)_([A-Za-z0-9]+)$")
 #: role: (description entity, suffix; None keeps the image's own, ending)
@@ -13,6 +14,8 @@ NAMES = {
     "mask": ("brain", "mask", ".nii.gz"),
     "mesh": (None, "mesh", ".vtu"),
     "solution": (None, "solution", ".vtu"),
+    "lips-surface": ("lips", "surface", ".vtp"),
+    "organ-surface": ("organ", "surface", ".vtp"),
     "updated": ("updated", None, ".nii.gz"),
     "cavity": ("cavity", "mask", ".nii.gz"),
     "overlap": ("overlap", "mask", ".nii.gz"),

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from xfemnav.errors import FAULTS, XfemnavError
 from xfemnav.imaging.reading.content import file_bytes
-from xfemnav.pipeline.keeping.names import LIMIT_BYTES, OWN_NAME, RECORD, SCHEMA
+from xfemnav.pipeline.keeping.names import KNOWN_SCHEMAS, LIMIT_BYTES, OWN_NAME, RECORD, SCHEMA
 
 
 def _own_name(name: str) -> str:
@@ -30,7 +30,7 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]  # mm
 
 class _Cut(_Part):
     name: str
-    path: Annotated[list[tuple[Coordinate, Coordinate]], Field(min_length=2)]
+    path: Annotated[list[tuple[Coordinate, Coordinate]], Field(min_length=2)] | None = None  # a surface has none
 
 
 class _Step(_Part):
@@ -40,6 +40,10 @@ class _Step(_Part):
 
 class _Slice(_Part):
     plane: Literal["axial", "coronal", "sagittal"]
+
+
+class _Volume(_Part):
+    shape: tuple[int, int, int]
 
 
 class _Parameters(_Part):
@@ -64,7 +68,9 @@ class _Input(_Part):
 class _Record(_Part):
     status: Literal["complete", "untrusted", "failed", "interrupted"]
     outputs: dict[str, Annotated[str, AfterValidator(_own_name)]]
+    dimension: Literal[2, 3] = 2
     slice: _Slice | None = None
+    volume: _Volume | None = None
     parameters: _Parameters | None = None
     cuts: list[_Cut] | None = None
     steps: list[_Step] = []
@@ -74,8 +80,11 @@ class _Record(_Part):
 
     @model_validator(mode="after")
     def _whole(self):
-        if "solution" in self.outputs and None in (self.slice, self.cuts, self.parameters):
-            raise ValueError("it has a solution, but no slice, no cuts or no parameters")
+        grid = self.slice if self.dimension == 2 else self.volume
+        if "solution" in self.outputs and None in (grid, self.cuts, self.parameters):
+            raise ValueError("it has a solution, but no slice (or volume), no cuts or no parameters")
+        if self.dimension == 2 and any(cut.path is None for cut in self.cuts or ()):
+            raise ValueError("a cut has no path")
         if self.status == "untrusted" and self.error is None:
             raise ValueError("it is untrusted and does not say why")
         return self
@@ -90,7 +99,7 @@ def read_record(folder: Path) -> dict:
     try:
         text = file_bytes(path, LIMIT_BYTES)
         record = json.loads(text)
-        if not isinstance(record, dict) or record.get("schema") != SCHEMA:
+        if not isinstance(record, dict) or record.get("schema") not in KNOWN_SCHEMAS:
             raise ValueError(f"its schema is not {SCHEMA}")
         # Bytes of file names that are no UTF-8 are halves of characters there, which Python alone takes for a text.
         _Record.model_validate_json(json.dumps(record, ensure_ascii=False).encode(errors="replace"))

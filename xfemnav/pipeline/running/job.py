@@ -98,8 +98,8 @@ def run(config: Config, options: Options, listener: Listener = Listener()) -> di
         chain.warned += warned
         if passing:
             chain.warned.append(Warned("W602", passing))
-        record = {"schema": SCHEMA, "version": __version__, "argv": list(options.argv),
-                  "parameters": placed(config.parameters, config.named, output)}
+        record = {"schema": SCHEMA, "dimension": config.segment.dimension, "version": __version__,
+                  "argv": list(options.argv), "parameters": placed(config.parameters, config.named, output)}
         try:
             return _run(chain, options, folder, record)
         except BaseException as error:
@@ -168,9 +168,14 @@ def _solved(chain: Chain) -> list[tuple[str, dict, dict]]:
             if done := chain.inputs.done.get(chain.inputs.label(stage, k)):
                 _gather(facts, done.facts)
         if "checks" in facts:
-            pixel = math.prod(chain.inputs.done["segment"].facts["slice"]["spacing"])
+            pixel = _grid_size(chain.inputs.done["segment"].facts)
             found.append((step.name, facts, verdicts(facts, pixel)))
     return found
+
+
+def _grid_size(facts: dict) -> float:
+    """Size of a pixel, mm^2, or of a voxel, mm^3."""
+    return math.prod((facts.get("slice") or facts["volume"])["spacing"])
 
 
 def _untrusted(chain: Chain, faults: list[str], names: Names) -> dict:
@@ -246,7 +251,7 @@ def _reported(chain: Chain, folder: Path, record: dict, names: Names) -> dict:
         _gather(steps.setdefault(int(step), {}) if step else found, done.facts)
     for facts in (found, *steps.values()):
         if "checks" in facts:
-            facts["verdicts"] = verdicts(facts, math.prod(found["slice"]["spacing"]))
+            facts["verdicts"] = verdicts(facts, _grid_size(found))
     if len(chain.config.steps) > 1:
         found["steps"] = [_step_record(step, steps.get(k, found)) for k, step in enumerate(chain.config.steps)]
     return {name: fact for name, fact in (record | found).items() if name != "places"}  # the verdicts hold them

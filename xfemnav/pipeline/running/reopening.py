@@ -16,13 +16,21 @@ from xfemnav.pipeline.keeping.record import read_record
 LARGEST_BYTES = 1 << 34  # of an output
 
 
-def preoperative_slice(record: dict, folder: Path, given: Path | None = None):
-    """The slice of the image that the run in `folder` has read, from where it is now, or from the place `given`.
+def taken(image, dimension: int, **place):
+    """Of an image what a run of this dimension takes: the Slice at a place, `take_slice`'s, or the Volume."""
+    from xfemnav.imaging.frames.slices import take_slice
+    from xfemnav.imaging.frames.volume import take_volume
+
+    return take_volume(image) if dimension > 2 else take_slice(image, **place)
+
+
+def preoperative(record: dict, folder: Path, given: Path | None = None):
+    """The slice of the image that the run in `folder` has read, or the volume, from where it is now, or from the place
+    `given`.
 
     Raises E100 where it is not found, E701 where the record does not say how it was read, and E702 where it holds
     something else now; what reading raises.
     """
-    from xfemnav.imaging.frames.slices import take_slice
     from xfemnav.imaging.reading.gate import read_image
 
     asked, known = _settings(record, folder), inputs_of(record).get("image")
@@ -33,7 +41,7 @@ def preoperative_slice(record: dict, folder: Path, given: Path | None = None):
                        max_memory_gb=asked.max_memory_gb)
     if not same and image.digest != known.content:
         raise _changed("image", path)
-    return take_slice(image, plane=asked.slice.plane, index=asked.slice.index, position_mm=asked.slice.position_mm)
+    return taken(image, asked.dimension, **asked.slice.model_dump())
 
 
 def refuse_changed(role: str, path: Path, record: dict) -> None:
@@ -73,7 +81,7 @@ def run_problems(folder: Path) -> list[XfemnavError]:
 def _check_input(place: str, known: Known, folder: Path, limit: float, record: dict) -> None:
     """Raise E100 or E702 where an input is gone or has changed; the image may be packed otherwise."""
     if place == "image":
-        preoperative_slice(record, folder)
+        preoperative(record, folder)
     elif not (found := find(place, known, folder, limit))[1]:
         raise _changed(place, found[0])
 

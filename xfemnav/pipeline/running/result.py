@@ -19,7 +19,7 @@ from xfemnav.pipeline.keeping.disk import write_atomic
 from xfemnav.pipeline.keeping.kernels import settle_kernel_cache, spare_the_run
 from xfemnav.pipeline.keeping.record import read_record
 from xfemnav.pipeline.running import job
-from xfemnav.pipeline.running.reopening import preoperative_slice, refuse_changed
+from xfemnav.pipeline.running.reopening import preoperative, refuse_changed, taken
 
 if TYPE_CHECKING:
     from xfemnav.geometry.mesh import Mesh
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from xfemnav.imaging.carrying.surfaces import MovedSurface
     from xfemnav.imaging.carrying.warp import PullBack, Update
     from xfemnav.imaging.frames.slices import Slice
+    from xfemnav.imaging.frames.volume import Volume
     from xfemnav.imaging.reading.lean import nibabel
 
 SIDES = {"left": 1, "right": -1}
@@ -92,6 +93,9 @@ class Result:
     Points are (2,) or (n, 2) plane mm, or (3,) or (n, 3) world RAS mm; results have the same form, and are NaN where
     there is no tissue. A cut is two-valued: `side` says which lip, "left" (+1) or "right" (-1). A run with steps is as
     it is after `step`, the last one unless another is named.
+
+    Of a volume points are world RAS mm, and the motion, the mesh and the images are there; what else a slice has,
+    `side` too, raises E780 so far.
     """
 
     def __init__(self, folder: Path, record: dict[str, Any], step: str | None = None, image: AnyPath | None = None):
@@ -139,54 +143,48 @@ class Result:
         return self.record["parameters"].get("nifti_frame", "auto")
 
     @cached_property
-    def frame(self) -> "Slice":
-        """The plane of the slice: an imaging Slice whose values are the organ's mask."""
-        from xfemnav.imaging.frames.slices import take_slice
-        from xfemnav.imaging.reading.gate import read_image
-
-        mask = read_image(self._path("mask"), nifti_frame=self.nifti_frame)
-        return take_slice(mask, plane=self.record["slice"]["plane"])
+    def frame(self) -> "Slice | Volume":
+        """The plane of the slice: an imaging Slice whose values are the organ's mask; of a volume, a Volume."""
+        return self._read("mask")
 
     @cached_property
-    def preoperative(self) -> "Slice":
-        """The slice before surgery, an imaging Slice: the run's image, read again.
+    def preoperative(self) -> "Slice | Volume":
+        """The slice before surgery, an imaging Slice, or the Volume: the run's image, read again.
 
         Raises E100 where it is neither where it lay from the run's folder nor where it lay at all, and E702 where it is
         not what the run has read.
         """
-        return preoperative_slice(self.record, self.folder, self._image)
+        return preoperative(self.record, self.folder, self._image)
 
     @cached_property
-    def updated(self) -> "Slice":
-        """The slice after surgery as the run has written it, an imaging Slice. Raises E701 where it has not."""
-        from xfemnav.imaging.frames.slices import take_slice
-        from xfemnav.imaging.reading.gate import read_image
-
-        image = read_image(self._path(self._solution.replace("solution", "updated")), nifti_frame=self.nifti_frame)
-        return take_slice(image, plane=self.record["slice"]["plane"])
+    def updated(self) -> "Slice | Volume":
+        """The slice after surgery as the run has written it, an imaging Slice, or the Volume. Raises E701 where it has
+        not."""
+        return self._read(self._solution.replace("solution", "updated"))
 
     @cached_property
     def organ(self) -> "Mesh":
-        """The whole organ at rest, also what was resected: the Mesh of the run, plane mm."""
+        """The whole organ at rest, also what was resected: the Mesh of the run, plane mm; of a volume, tetrahedra."""
         from xfemnav.geometry.mesh import Mesh
         from xfemnav.pipeline.keeping.files import read_vtu
 
-        found = read_vtu(self._path("mesh"), "E701")
-        return Mesh(self.frame.from_world(found.points)[0], found.triangles)
+        found = read_vtu(self._path("mesh"), "E701", corners=self.dimension + 1)
+        return Mesh(self.frame.from_world(found.points)[0], found.cells)
 
     @cached_property
     def motion(self) -> "Motion":
-        """The map of the tissue, in plane coordinates: a Motion."""
+        """The map of the tissue, in plane coordinates, or in space: a Motion, of a volume without its cuts."""
         spare_the_run()
         from xfemnav.geometry.motion import Motion
         from xfemnav.pipeline.keeping.files import read_soup
 
         rest, moved = read_soup(self._path(self._solution), self.frame)
-        return Motion(rest, moved, tuple(np.array(cut["path"]) for cut in self._cuts))
+        return Motion(rest, moved, tuple(np.array(cut["path"]) for cut in self._cuts if "path" in cut))
 
     @cached_property
     def outline(self) -> np.ndarray:
         """The organ's outline now, a closed loop (k, 2) plane mm, its mouths bridged by straight lines."""
+        self._refuse_a_volume("outline")
         from xfemnav.geometry.plane.moved_outline import moved_outline
 
         return moved_outline(self.organ.outline, self.motion)
@@ -194,6 +192,7 @@ class Result:
     @cached_property
     def update(self) -> "Update":
         """What became of each pixel of the slice: an Update, whose image is the organ's mask."""
+        self._refuse_a_volume("update")
         return self._updated(self.frame.values)
 
     def to_preoperative(self, points: ArrayLike) -> np.ndarray:
@@ -202,6 +201,8 @@ class Result:
 
     def to_current(self, points: ArrayLike, side: Side = None) -> np.ndarray:
         """Where the tissue that was at `points` in the preoperative image is now."""
+        if side is not None:
+            self._refuse_a_volume("the side of a cut")
         return self._mapped(points, lambda plane: self.motion.to_current(plane, side_number(side)))
 
     def displacement(self, points: ArrayLike, side: Side = None) -> np.ndarray:
@@ -213,6 +214,7 @@ class Result:
 
         From the preoperative image to now, on the lip of `side` where they are on a cut; with `inverse` from now back.
         """
+        self._refuse_a_volume("landmarks")
         from xfemnav.imaging.carrying.landmarks import moved_points, resting_points
 
         if inverse:
@@ -222,6 +224,7 @@ class Result:
     def streamlines(self, path: AnyPath) -> "MovedStreamlines":
         """The tractogram in a .trk, .trk.gz or .tck file after the motion: MovedStreamlines of
         `xfemnav.imaging.carrying.streamlines`."""
+        self._refuse_a_volume("streamlines")
         from xfemnav.imaging.carrying.streamlines import move_streamlines
         from xfemnav.imaging.points.tract_files import read_streamlines
 
@@ -233,6 +236,7 @@ class Result:
 
         `space` (ras, lps) is that of a file that does not say its own; by default the run's.
         """
+        self._refuse_a_volume("surface")
         from xfemnav.imaging.carrying.surfaces import move_surface
         from xfemnav.imaging.points.surface_files import read_surface
 
@@ -261,6 +265,7 @@ class Result:
         which frame of a header with two is taken; left out, it is the run's choice. An array (n1, n2) along e1 and e2
         of the run's slice gives an array.
         """
+        self._refuse_a_volume("warp of another image")
         from xfemnav.imaging.carrying.companions import carry
         from xfemnav.imaging.carrying.kinds import kind_of, read_companion
 
@@ -293,6 +298,7 @@ class Result:
         image, so that resampling (ANTs, SimpleITK) loses no tissue and gives background. Raises E780 for another
         suffix, E501 and E502.
         """
+        self._refuse_a_volume("transform")
         from xfemnav.imaging.carrying.transform import backward, forward, roomy
 
         path = path_of(path, "path")
@@ -332,6 +338,24 @@ class Result:
         from xfemnav.imaging.frames.slices import mapped
 
         return mapped(self.frame, points, move)
+
+    @property
+    def dimension(self) -> int:
+        """2 of a slice, 3 of a volume."""
+        return self.record.get("dimension", 2)
+
+    def _refuse_a_volume(self, what: str) -> None:
+        """Raise E780 for what slices alone have."""
+        if self.dimension > 2:
+            raise XfemnavError("E780", f"{what}: the run in {self.folder} is of a volume, which has none yet. Its "
+                                       "updated image, cavity, lips and moved mesh are files of the run.")
+
+    def _read(self, role: str) -> "Slice | Volume":
+        """An image that the run has written."""
+        from xfemnav.imaging.reading.gate import read_image
+
+        image = read_image(self._path(role), nifti_frame=self.nifti_frame)
+        return taken(image, self.dimension, plane=self.record.get("slice", {}).get("plane"))
 
     def _path(self, role: str) -> Path:
         if role not in self.record["outputs"]:

@@ -20,12 +20,12 @@ from xfemnav.pipeline.keeping.keys import file_digest
 from xfemnav.pipeline.keeping.locks import locked
 from xfemnav.pipeline.keeping.names import (
     CARRIED,
+    KNOWN_SCHEMAS,
     LIMIT_BYTES,
     NAMES,
     OWN_NAME,
     PAGES,
     RECORD,
-    SCHEMA,
     WITH_SIDECAR,
     public_name,
     sidecar_name,
@@ -51,7 +51,7 @@ def _record_in(path: Path) -> dict | None:
     """The record in a file, None when it is no record of ours; a pipe is never waited for."""
     try:
         record = json.loads(file_bytes(path, LIMIT_BYTES))
-        return record if record["schema"] == SCHEMA else None
+        return record if record["schema"] in KNOWN_SCHEMAS else None
     except (XfemnavError, ValueError, KeyError, TypeError, RecursionError):
         return None
 

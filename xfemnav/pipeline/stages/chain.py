@@ -26,7 +26,7 @@ from xfemnav.pipeline.stages.inputs import (
     recorded,
 )
 from xfemnav.pipeline.stages.stage import Stage
-from xfemnav.pipeline.stages.table import CARRY, FIGURE, IMAGING, SAFE, STAGES
+from xfemnav.pipeline.stages.table import CARRY, FIGURE_OF, IMAGING, SAFE_OF, STAGES_OF
 
 FACTS, VALUE = "facts.json", ("value.json", "value.npz")
 FROM_BYTES = ("streamlines", "surfaces")  # kinds of files that are decoded from the bytes that were digested
@@ -50,6 +50,7 @@ class Chain:
 
     def __post_init__(self):
         self.inputs = Inputs(self.config)
+        self.stages, self.figure = (table[self.config.segment.dimension] for table in (STAGES_OF, FIGURE_OF))
         self.input_facts: dict[str, dict] = {}
         self.warned: list[Warned] = []
 
@@ -75,7 +76,7 @@ class Chain:
         for name, step in self._order(until):
             self.inputs.step = step
             self.started(name)
-            self._finish(self._stage(STAGES[name], self._params(name, step), self._forced(name)))
+            self._finish(self._stage(self.stages[name], self._params(name, step), self._forced(name)))
             if name == "segment":  # where the organ is, is known
                 self.warned += [Warned("W114", text) for text in frame_doubts(self.inputs, self.input_facts)]
         if until == ORDER[-1] and self.config.carry.companions:
@@ -88,7 +89,7 @@ class Chain:
         found = []
         for step in range(len(self.config.steps)):
             self.inputs.step = step
-            found.append(self._stage(FIGURE, self.config.figure, self.force_from == ORDER[0]))
+            found.append(self._stage(self.figure, self.config.figure, self.force_from == ORDER[0]))
             self.warned += found[-1].warnings
         return found
 
@@ -96,7 +97,8 @@ class Chain:
         """The largest part of what the blades do at which the whole run is trusted; None when no part is."""
         step = self.inputs.step
         try:
-            return self._stage(SAFE, self.config.steps, self._forced("solve")).facts["safe_part"]
+            safe = SAFE_OF[self.config.segment.dimension]
+            return self._stage(safe, self.config.steps, self._forced("solve")).facts["safe_part"]
         finally:
             self.inputs.step = step
 
@@ -105,7 +107,7 @@ class Chain:
         rows = []
         for name, step in self._order(until):
             self.inputs.step = step
-            stage, told = STAGES[name], " ".join(filter(None, (name, self._step_name(name))))
+            stage, told = self.stages[name], " ".join(filter(None, (name, self._step_name(name))))
             needed = [*map(self.inputs.label, stage.needs), *self._drawn_in(name)]
             if not all(label in self.inputs.done for label in needed):
                 rows.append((told, "would run", None))
@@ -132,7 +134,7 @@ class Chain:
         return self.config.steps[step].constrain if name == "constrain" else getattr(self.config, name)
 
     def _step_name(self, name: str) -> str:
-        return self.config.steps[self.inputs.step].name if name in (*STEPWISE, FIGURE.name) else ""
+        return self.config.steps[self.inputs.step].name if name in (*STEPWISE, self.figure.name) else ""
 
     def _drawn_in(self, name: str) -> dict[str, int]:
         """Labels of the solutions in whose deformed slices something of this stage was drawn, and their steps."""

@@ -26,7 +26,7 @@ def compute(params, inputs):
     loads = replace(params.loads, pressures=tuple(replace(load, resection=number[load.resection])
                                                   for load in params.loads.pressures))
     skull = replace(_in_plane(params.skull, slice, params.space), border=slice.border(segmentation.mask),
-                    openings=_later_mouths(params, slice, outline))
+                    openings=(*_craniotomies(params, slice), *_later_mouths(params, slice, outline)))
     return pose(mesh, cuts, tissue(params, mesh, inputs), skull, params.retractions, tuple(taken.values()),
                 loads, params.rules)
 
@@ -48,6 +48,11 @@ def _plane(slice, points, space):
     from xfemnav.imaging.frames.slices import plane_points
 
     return plane_points(slice, points, space)
+
+
+def _craniotomies(params, slice):
+    """Places (2,) plane mm about which the skull is open without a cut."""
+    return _plane(slice, params.skull.openings, params.space) if params.skull.openings else ()
 
 
 def _later_mouths(params, slice, outline):

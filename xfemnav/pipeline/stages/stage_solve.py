@@ -1,8 +1,9 @@
-"""The stage solve: a boundary value problem becomes deformed triangles."""
+"""The stage solve: a boundary value problem becomes deformed triangles, or tetrahedra."""
 
 from xfemnav.limits import FOLDED_NOTICE
 
 SIDES = (("left", 1), ("right", -1))
+UNITS = {2: "_per_mm", 3: ""}  # of forces and energies, by the dimension: a slice is as thick as one asks
 
 
 def compute(params, inputs):
@@ -11,10 +12,12 @@ def compute(params, inputs):
     from xfemnav.mechanics.solving.solution import solve
 
     solution = solve(inputs.value("constrain"))
-    if solution.inverted_mm2 > FOLDED_NOTICE.value:
-        worst = solution.rest[solution.det_F.argmin()].mean(axis=0)
-        warn("W402", f"{solution.inverted_mm2:.3g} mm2 of tissue is turned inside out, over {FOLDED_NOTICE.value:g} "
-                     f"mm2, the worst near ({worst[0]:.1f}, {worst[1]:.1f}) mm.")
+    notice = FOLDED_NOTICE[solution.rest.shape[2]].value
+    if solution.inverted_mm2 > notice:
+        worst = ", ".join(f"{x:.1f}" for x in solution.rest[solution.det_F.argmin()].mean(axis=0))
+        unit = f"mm{solution.rest.shape[2]}"
+        warn("W402", f"{solution.inverted_mm2:.3g} {unit} of tissue is turned inside out, over {notice:g} {unit}, the "
+                     f"worst near ({worst}) mm.")
     return solution
 
 
@@ -24,11 +27,12 @@ def facts(value, params, inputs):
 
     problem = inputs.value("constrain")
     names, measured = [cut.name for cut in problem.cuts], measure(problem, value)
-    turning = measured.turning
+    turning, d = measured.turning, problem.mesh.dim
+    per_mm = UNITS[d]
     return {
         "retractor": [{"cut": names[force.cut], "side": "left" if force.side > 0 else "right",
-                       "force_mN_per_mm": list(force.force_mN_per_mm), "mean_pressure_kPa": force.mean_pressure_kPa,
-                       "blade": _held(problem, force.cut, span)}
+                       f"force_mN{per_mm}": list(force.force_mN_per_mm), "mean_pressure_kPa": force.mean_pressure_kPa,
+                       **_held(problem, force.cut, span)}
                       for force, span in zip(value.retractor, problem.spans)],
         "tips": [{"cut": names[tip.cut], "point_mm": list(tip.point_mm), "K_I_Pa_sqrt_m": tip.K_I_Pa_sqrt_m,
                   "K_II_Pa_sqrt_m": tip.K_II_Pa_sqrt_m, "radius_mm": tip.radius_mm} for tip in value.tips],
@@ -36,11 +40,11 @@ def facts(value, params, inputs):
                      "mean_pressure_kPa": each.mean_pressure_kPa} for each in value.contact],
         "model": {"name": value.model, "load_steps": value.load_steps, "newton_iterations": value.newton_iterations,
                   "linear_difference_mm": value.linear_difference_mm},
-        "energy_uJ_per_mm": value.energy,
+        f"energy_uJ{per_mm}": value.energy,
         "matrix": {"nnz": value.nnz, "added_nnz": value.added_nnz, "memory_kB": value.matrix_kB},
         "checks": {
             "residual": value.residual,
-            "inverted_mm2": value.inverted_mm2,
+            f"inverted_mm{d}": value.inverted_mm2,
             "det_F_p01": value.det_F_p01,
             "largest_strain": value.largest_strain,
             "min_gap_mm": value.min_gap_mm,
@@ -50,13 +54,13 @@ def facts(value, params, inputs):
             "main_strain": measured.main_strain,
             "turning_mm": turning and turning.error_mm,
             "turned_deg": turning and turning.degrees,
-            "turned_mm2": turning and turning.area_mm2,
-            "resized_mm2": measured.resized_mm2,
-            "tripled_mm2": measured.tripled_mm2,
+            f"turned_mm{d}": turning and turning.area_mm2,
+            f"resized_mm{d}": measured.resized_mm2,
+            f"tripled_mm{d}": measured.tripled_mm2,
             "blade_pressure_kPa": max((abs(force.mean_pressure_kPa) for force in value.retractor), default=None),
             "main_young_kpa": measured.main_young_kpa,
         },
-        "places": {name: list(place) for name, place in measured.places.items()},
+        "places": {name.replace("_mm2", f"_mm{d}"): list(place) for name, place in measured.places.items()},
     }
 
 
@@ -69,18 +73,21 @@ def inverted_area(rest, moved) -> float:
 
 
 def mean_displacement(rest, moved) -> float:
-    """Mean length of the displacement (mm) of the triangles (t, 3, 2), by their area at rest; at their corners."""
+    """Mean length of the displacement (mm) of simplices (t, d + 1, d), by their size at rest; at their corners."""
     import numpy as np
 
-    from xfemnav.geometry.mesh import orient
+    from xfemnav.geometry.mesh import volumes
 
-    areas = abs(orient(rest[:, 0], rest[:, 1], rest[:, 2]))
+    areas = abs(volumes(rest))
     return float(np.average(np.linalg.norm(moved - rest, axis=2).mean(axis=1), weights=areas))
 
 
 def _held(problem, cut, span):
     """The part of a cut that a blade holds, from the mouth: what was asked, but for what is too near to a tip."""
-    return [round(min(float(end) / problem.cuts[cut].length, 1.0), 6) for end in span]
+    if span.ndim > 1:
+        along, depth = span[:, :2].clip(0, 1).round(6).T.tolist()
+        return {"blade": depth, "blade_along": along}
+    return {"blade": [round(min(float(end) / problem.cuts[cut].length, 1.0), 6) for end in span]}
 
 
 def publish(value, params, inputs, folder):

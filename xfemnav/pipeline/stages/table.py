@@ -1,6 +1,15 @@
 """The table of stages."""
 
+from dataclasses import replace
+
 from xfemnav.pipeline.stages import (
+    solid_constrain,
+    solid_figure,
+    solid_mesh,
+    solid_safe,
+    solid_segment,
+    solid_solve,
+    solid_warp,
     stage_carry,
     stage_constrain,
     stage_figure,
@@ -30,9 +39,22 @@ STAGES: dict[str, Stage] = {stage.name: stage for stage in (
     Stage("warp", PHYSICS, IMAGING, ("segment", "mesh", "constrain", "solve"), (), stage_warp,
           lambda f: f"cavity {f['checks']['cavity_mm2']:.0f} mm2"),
 )}
+SOLID_STAGES: dict[str, Stage] = {stage.name: stage for stage in (
+    replace(STAGES["segment"], code=solid_segment, files=("image", "mask"),
+            line=lambda f: f"{f['segmentation']['volume_mm3'] / 1000:.0f} ml by {f['segmentation']['method']}"),
+    replace(STAGES["mesh"], code=solid_mesh, files=()),
+    replace(STAGES["constrain"], code=solid_constrain, files=("labels",)),
+    replace(STAGES["solve"], code=solid_solve, libraries=(*ALL, "pyamg"), needs=("segment", "mesh", "constrain")),
+    replace(STAGES["warp"], code=solid_warp, line=lambda f: f"cavity {f['checks']['cavity_mm3'] / 1000:.2f} ml"),
+)}
+#: The stages of a run by its dimension.
+STAGES_OF = {2: STAGES, 3: SOLID_STAGES}
 CARRY = Stage("carry", PHYSICS, IMAGING, ("segment", "mesh", "constrain", "solve", "warp"),
               ("companion", "points", "streamlines", "surfaces"), stage_carry, stage_carry.line, kept=False)
 FIGURE = Stage("figure", ("pipeline",), (*IMAGING, "matplotlib"), ("segment", "constrain", "solve", "warp"), (),
                stage_figure, lambda f: "")
+FIGURE_OF = {2: FIGURE, 3: replace(FIGURE, code=solid_figure)}
 SAFE = Stage("safe", ("pipeline",), (*ALL, CHOLMOD), ("segment", "mesh"), ("labels", "resection"), stage_safe,
              lambda f: "")
+#: By the dimension of a run.
+SAFE_OF = {2: SAFE, 3: replace(SAFE, code=solid_safe, needs=("segment", "mesh", "solve"), files=("labels",))}

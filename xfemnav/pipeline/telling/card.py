@@ -11,8 +11,16 @@ from urllib.parse import quote
 
 from xfemnav.errors import XfemnavError
 from xfemnav.naming import told
-from xfemnav.pipeline.telling.display import NEUROLOGICAL, convention, lips_told
-from xfemnav.pipeline.telling.report import CHECKS, VERDICTS, check_row, checked, embedded, template
+from xfemnav.pipeline.telling.display import NEUROLOGICAL
+from xfemnav.pipeline.telling.report import (
+    VERDICTS,
+    check_rows,
+    checked,
+    dimension_of,
+    display_told,
+    embedded,
+    template,
+)
 
 COLOURS = {"complete": "#1a7f37", "untrusted": "#c8102e"}
 MARKS = {"look": " background: #ffe3b0; font-weight: 600;",
@@ -27,15 +35,17 @@ def card(result) -> str:
     facts = next((each for each in record.get("steps", ()) if each["name"] == step), record)
     warnings, outputs = record.get("warnings", []), list(record["outputs"].items())
     picture, reason = _picture(result)
-    shown = record["slice"]["plane"], record["slice"].get("axes"), display_of(record)
+    display, lips = display_told(record, facts["cuts"], display_of(record))
     return template("card.html").render(
         colour=COLOURS[record["status"]], verdict=verdict(record), title=_short(_title(record)), step=step,
         folder=_short(str(result.folder)), error=_bounded(record.get("error")),
         warnings=[_bounded(each) for each in warnings[:WARNINGS]], left_out=len(warnings[WARNINGS:]),
         picture=embedded(picture), width=PICTURE_PX, reason=_short(reason),
-        display=convention(*shown).capitalize() + "." if picture else "",
-        lips=_short(lips_told([(cut["name"], cut["path"]) for cut in facts["cuts"]], *shown)) if picture else "",
-        checks=[check_row(name, facts) for name in CHECKS if name in facts.get("verdicts", {})], marks=MARKS,
+        display=display.capitalize() + "." if picture else "",
+        lips=_short(lips) if picture else "",
+        checks=[row for row in check_rows({"dimension": dimension_of(record), "verdicts": {}} | facts)
+                if row["verdict"]],
+        marks=MARKS,
         checked=checked(record) if record["status"] == "complete" and "verdicts" in record else "",
         outputs=[(role, name, _address(result.folder, name)) for role, name in outputs[:FILES]],
         files_left_out=len(outputs[FILES:]),
@@ -60,6 +70,9 @@ def _picture(result) -> tuple[bytes | None, str]:
     from xfemnav.pipeline.telling.palette import reduced
 
     try:
+        if dimension_of(result.record) > 2:
+            name = result.record["outputs"].get("figure")
+            return (reduced((result.folder / name).read_bytes(), PICTURE_PX), "") if name else (None, "run it with one")
         before, organ = result.preoperative, result.frame.values != 0
         after = replace(result.update, updated=result.updated.values)
         pair = draw_pair(before, organ, result.motion.cuts, after, display_of(result.record))

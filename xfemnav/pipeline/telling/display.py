@@ -41,6 +41,18 @@ def convention(plane: str, axes, display: str) -> str:
     return f"{display} display: {NAMES[west]} on the left, {NAMES[north]} at the top"
 
 
+def in_space(display: str) -> str:
+    """What the pictures of a volume show where, in words."""
+    west = "right" if display == RADIOLOGICAL else "left"
+    return (f"{display} display: the patient's {west} on the left of axial and coronal slices, anterior on the right "
+            "of sagittal ones, and anterior or superior at the top")
+
+
+def left_of(normal) -> str:
+    """Letter of the patient's side that the left lip of a cut in space lies towards; `normal` (3,) points there."""
+    return ends(normal)[1]
+
+
 def lip_ends(path, axes) -> dict[str, str]:
     """Letter of the patient's side that each lip of a cut lies towards; `path` (k, 2) plane mm, mouth first."""
     x, y = np.asarray(path)[-1] - np.asarray(path)[0]

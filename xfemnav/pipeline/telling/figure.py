@@ -5,25 +5,37 @@ radiological display: then the axes of the panels are inverted, and nothing else
 matplotlib's own defaults and font, no date, no software version.
 """
 
-from io import BytesIO
 from pathlib import Path
 from textwrap import wrap
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 
-from xfemnav.imaging.carrying.background import blank_of
 from xfemnav.pipeline.keeping.disk import write_atomic
 from xfemnav.pipeline.telling.display import NEUROLOGICAL, convention, edges, lip_ends, lips_told, mirrored
+from xfemnav.pipeline.telling.panels import (
+    CUT,
+    DPI,
+    GAP_IN,
+    LINE_LETTERS,
+    OVERLAP,
+    PANEL_IN,
+    TIP,
+    TITLE_IN,
+    draw_grey,
+    drawn_png,
+    look_at,
+    mark_sides,
+    outlined,
+    panels,
+    scale_bar,
+    window,
+)
 
-PANEL_IN, DPI = 4.0, 140     # width of a panel, and dots an inch
-TITLE_IN, GAP_IN, FOOT_IN = 0.35, 0.12, 0.6  # above each row, between panels, below the last row
-LINE_IN, LINE_LETTERS = 0.17, 170  # of the caption below that
 INSET, INSET_CELLS = 0.36, 6  # panel (e)'s inset: its size as a part of the panel, and how many cells it is wide
 MARGIN_MM = 10.0             # shown around the organ, and around the cuts in the close view
-CUT, HEAVISIDE, TIP, OVERLAP = "#ffd21f", "#0b62a8", "#d1410c", "#ff3030"
+HEAVISIDE = "#0b62a8"
+FAST = {"pil_kwargs": {"compress_level": 3}}
 
 
 def draw_figure(path: Path, slice, mask, problem, solution, update, display: str = NEUROLOGICAL) -> Path:
@@ -33,12 +45,7 @@ def draw_figure(path: Path, slice, mask, problem, solution, update, display: str
     `update` is the result of the warp on the same grid. Only their attributes are read. `display`: neurological or
     radiological.
     """
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        png = BytesIO()
-        _drawn(slice, mask, problem, solution, update, display).savefig(
-            png, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 3})
-    write_atomic(path, png.getvalue())
+    write_atomic(path, drawn_png(_drawn, slice, mask, problem, solution, update, display, **FAST))
     return path
 
 
@@ -47,10 +54,10 @@ def _drawn(slice, mask, problem, solution, update, display) -> Figure:
     whole = _box_of_organ(slice, mask)
     close = _box_of_cuts([*(cut.path for cut in problem.cuts), *_rings(problem)], whole)
     caption = _caption(slice, problem.cuts, display)
-    figure, (a, b, c, d, e, f) = _panels(*(whole[1] - whole[0]), len(caption))
+    figure, (a, b, c, d, e, f) = panels(*(whole[1] - whole[0]), len(caption))
     for panel in (a, b, c, d, e, f):  # before anything is drawn, which asks which way round it is
-        _look_at(panel, close if panel is e else whole, mirrored(slice.plane, display))
-    grey = _window(slice, mask)
+        look_at(panel, close if panel is e else whole, mirrored(slice.plane, display))
+    grey = window(slice, mask)
     _preoperative(a, slice, problem, grey)
     _mask(b, slice, mask, problem)
     _mesh(c, problem)
@@ -59,52 +66,38 @@ def _drawn(slice, mask, problem, solution, update, display) -> Figure:
     _displacement(f, solution)
     for panel, ink in zip((a, b, c, d, e, f), ("white", "white", "black", "white", "black", "black")):
         box = close if panel is e else whole
-        _letters(panel, edges(slice.plane, slice.axes, display), ink)
-        _scale_bar(panel, box, ink)
+        mark_sides(panel, edges(slice.plane, slice.axes, display), ink)
+        scale_bar(panel, box, ink)
     figure.text(0.5, 0.1 / figure.get_figheight(), "\n".join(caption), ha="center", fontsize=9)
     return figure
 
 
 def draw_pair(slice, mask, paths, update, display: str = NEUROLOGICAL) -> bytes:
     """A small PNG of the organ before, with the `paths` (k, 2) mm of its cuts, and after; else as `draw_figure`."""
+    return drawn_png(_pair, slice, mask, paths, update, display)
+
+
+def _pair(slice, mask, paths, update, display) -> Figure:
+    """The figure of `draw_pair`."""
     whole = _box_of_organ(slice, mask)
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        height = PANEL_IN * (whole[1, 1] - whole[0, 1]) / (whole[1, 0] - whole[0, 0])
-        figure = Figure((2 * PANEL_IN + 3 * GAP_IN, height + TITLE_IN + GAP_IN), DPI)
-        before, after = figure.subplots(1, 2, subplot_kw={"xticks": [], "yticks": []})
-        figure.subplots_adjust(GAP_IN / figure.get_figwidth(), GAP_IN / figure.get_figheight(),
-                               1 - GAP_IN / figure.get_figwidth(), 1 - TITLE_IN / figure.get_figheight(), 0.03)
-        for panel in (before, after):
-            _look_at(panel, whole, mirrored(slice.plane, display))
-        grey = _window(slice, mask)
-        _draw_grey(before, slice, np.where(mask, slice.values, np.nan), grey)
-        for path in paths:
-            _draw_cut(before, path, CUT, "black")
-            _name_lips(before, path, slice.axes, 10, CUT, "black")
-        _updated(after, slice, mask, update, grey)
-        for panel, title in ((before, "before"), (after, "after")):
-            panel.set_title(title)
-            _letters(panel, edges(slice.plane, slice.axes, display), "white")
-            _scale_bar(panel, whole, "white")
-        png = BytesIO()
-        figure.savefig(png, format="png", metadata={"Software": None})
-    return png.getvalue()
-
-
-def _panels(width, height, lines):
-    """A figure with six panels, two rows of three, that show a field of `width` by `height` mm each, over a caption."""
-    panel, foot = (PANEL_IN, PANEL_IN * height / width), FOOT_IN + lines * LINE_IN
-    size = np.array([3 * panel[0] + 4 * GAP_IN, 2 * (panel[1] + TITLE_IN) + foot])
-    figure = Figure(size, DPI)
-    places = [(GAP_IN + column * (panel[0] + GAP_IN), foot + row * (panel[1] + TITLE_IN))
-              for row in (1, 0) for column in range(3)]
-    return figure, [figure.add_axes([*(place / size), *(panel / size)], xticks=[], yticks=[]) for place in places]
-
-
-def _look_at(panel, box, inverted):
-    """Show a box (2, 2) mm, with e1 to the left where the panel is `inverted`."""
-    panel.set(xlim=box[::-1, 0] if inverted else box[:, 0], ylim=box[:, 1], aspect="equal")
+    height = PANEL_IN * (whole[1, 1] - whole[0, 1]) / (whole[1, 0] - whole[0, 0])
+    figure = Figure((2 * PANEL_IN + 3 * GAP_IN, height + TITLE_IN + GAP_IN), DPI)
+    before, after = figure.subplots(1, 2, subplot_kw={"xticks": [], "yticks": []})
+    figure.subplots_adjust(GAP_IN / figure.get_figwidth(), GAP_IN / figure.get_figheight(),
+                           1 - GAP_IN / figure.get_figwidth(), 1 - TITLE_IN / figure.get_figheight(), 0.03)
+    for panel in (before, after):
+        look_at(panel, whole, mirrored(slice.plane, display))
+    grey = window(slice, mask)
+    draw_grey(before, slice, np.where(mask, slice.values, np.nan), grey)
+    for path in paths:
+        _draw_cut(before, path, CUT, "black")
+        _name_lips(before, path, slice.axes, 10, CUT, "black")
+    _updated(after, slice, mask, update, grey)
+    for panel, title in ((before, "before"), (after, "after")):
+        panel.set_title(title)
+        mark_sides(panel, edges(slice.plane, slice.axes, display), "white")
+        scale_bar(panel, whole, "white")
+    return figure
 
 
 # The panels ----------------------------------------------------------------------------------------------------------
@@ -112,7 +105,7 @@ def _look_at(panel, box, inverted):
 def _preoperative(panel, slice, problem, grey):
     """Fig. 2 (a): the slice as it was scanned, with the cut."""
     panel.set_title("(a) preoperative slice with the cut")
-    _draw_grey(panel, slice, slice.values, grey)
+    draw_grey(panel, slice, slice.values, grey)
     for cut in problem.cuts:
         _draw_cut(panel, cut.path, CUT, "black")
         _name_lips(panel, cut.path, slice.axes, 10, CUT, "black")
@@ -122,7 +115,7 @@ def _preoperative(panel, slice, problem, grey):
 def _mask(panel, slice, mask, problem):
     """Fig. 2 (b): the organ, a binary image."""
     panel.set_title("(b) mask")
-    _draw_grey(panel, slice, mask, (0, 1))
+    draw_grey(panel, slice, mask, (0, 1))
     for cut in problem.cuts:
         _draw_cut(panel, cut.path, TIP, "white")
     _draw_resections(panel, problem, TIP, "white")
@@ -143,7 +136,7 @@ def _updated(panel, slice, mask, update, grey):
     what is left without tissue, in the value that the file has there."""
     panel.set_title("(d) updated slice, masked")
     shown = mask | (update.field != 0).any(axis=2) | update.cavity | update.vacated
-    _draw_grey(panel, slice, np.where(shown, update.updated, np.nan), grey)
+    draw_grey(panel, slice, np.where(shown, update.updated, np.nan), grey)
     if update.overlap.any():
         lines = [o + s * np.arange(n) for o, s, n in zip(slice.origin, slice.spacing, slice.values.shape)]
         panel.contour(*lines, update.overlap.T, levels=[0.5], colors=OVERLAP, linewidths=1.0)
@@ -162,7 +155,7 @@ def _enrichment(panel, slice, problem, box):
         inset = panel.inset_axes([*_emptiest_corner(panel, box, problem), INSET, INSET], xticks=[], yticks=[], zorder=6)
         _draw_enriched(inset, problem, zoom * h * PANEL_IN / width)
         low, high = tip + np.outer([-0.5, 0.5], INSET * np.ptp(box, axis=0) / zoom)
-        _look_at(inset, np.array([low, high]), panel.xaxis_inverted())
+        look_at(inset, np.array([low, high]), panel.xaxis_inverted())
         panel.indicate_inset_zoom(inset, edgecolor="black")
     panel.legend(*panel.get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, 0.0), ncols=2, fontsize=8,
                  frameon=False, handletextpad=0.2, columnspacing=1.0)
@@ -215,22 +208,13 @@ def _displacement(panel, solution):
 
 # What the panels share -----------------------------------------------------------------------------------------------
 
-def _draw_grey(panel, slice, values, window):
-    """Image (n1, n2) in plane coordinates: the slice's origin is the centre of pixel (0, 0)."""
-    low = slice.origin - slice.spacing / 2
-    high = low + values.shape * slice.spacing
-    panel.set_facecolor("black")
-    panel.imshow(values.T, cmap="gray", vmin=window[0], vmax=window[1], interpolation="nearest",
-                 origin="lower", extent=(low[0], high[0], low[1], high[1]))
-
-
 def _draw_mesh(panel, mesh, grey, width):
     """All edges as one line with gaps: far faster to draw than one line each."""
     panel.plot(*np.insert(mesh.points[mesh.edges], 2, np.nan, axis=1).reshape(-1, 2).T, color=grey, lw=width)
 
 
 def _draw_cut(panel, path, colour, halo):
-    panel.plot(*path.T, color=colour, lw=1.8, solid_capstyle="butt", path_effects=_halo(3, halo))
+    panel.plot(*path.T, color=colour, lw=1.8, solid_capstyle="butt", path_effects=outlined(3, halo))
 
 
 def _rings(problem):
@@ -240,7 +224,7 @@ def _rings(problem):
 
 def _draw_resections(panel, problem, colour, halo):
     for ring in _rings(problem):
-        panel.plot(*ring.T, color=colour, lw=1.4, ls=(0, (4, 2)), path_effects=_halo(2.4, halo))
+        panel.plot(*ring.T, color=colour, lw=1.4, ls=(0, (4, 2)), path_effects=outlined(2.4, halo))
 
 
 def _name_lips(panel, path, axes, gap, colour, halo):
@@ -251,38 +235,12 @@ def _name_lips(panel, path, axes, gap, colour, halo):
     for name, side in (("left", left), ("right", -left)):
         panel.annotate(f"{lip_ends(path, axes)[name]} lip", start + 0.5 * (end - start), gap * side,
                        textcoords="offset points", color=colour, ha=_alignment(side[0], "right", "left"),
-                       va=_alignment(side[1], "top", "bottom"), path_effects=_halo(2.5, halo))
+                       va=_alignment(side[1], "top", "bottom"), path_effects=outlined(2.5, halo))
 
 
 def _alignment(component, negative, positive):
     """Text alignment that keeps a label on its own side of the cut."""
     return positive if component > 0.3 else negative if component < -0.3 else "center"
-
-
-def _letters(panel, letters, ink):
-    """Letters of the patient's sides at the left, right, lower and upper edge of the panel."""
-    west, east, south, north = letters
-    paper = "black" if ink == "white" else "white"
-    for x, y, ha, va, letter in ((0.02, 0.5, "left", "center", west), (0.98, 0.5, "right", "center", east),
-                                 (0.5, 0.01, "center", "bottom", south), (0.5, 0.99, "center", "top", north)):
-        panel.text(x, y, letter, ha=ha, va=va, transform=panel.transAxes, color=ink, fontweight="bold",
-                   path_effects=_halo(2, paper))
-
-
-def _halo(width, colour):
-    return [withStroke(linewidth=width, foreground=colour)]
-
-
-def _scale_bar(panel, box, ink):
-    """A bar of a round length, about a seventh of the panel, in the lower left corner."""
-    width, height = box[1] - box[0]
-    mm = max((length for length in (1, 2, 5, 10, 20, 50) if length <= width / 6), default=1)
-    y = box[0, 1] + 0.04 * width
-    x, end = (box[1, 0] - 0.04 * width - np.array([0, mm]) if panel.xaxis_inverted()
-              else box[0, 0] + 0.04 * width + np.array([0, mm]))
-    halo = _halo(5, "black" if ink == "white" else "white")
-    panel.plot([x, end], [y, y], color=ink, lw=3, solid_capstyle="butt", path_effects=halo)
-    panel.text((x + end) / 2, y + 0.015 * height, f"{mm} mm", color=ink, ha="center", fontsize=9, path_effects=halo)
 
 
 def _caption(slice, cuts, display) -> list[str]:
@@ -291,16 +249,6 @@ def _caption(slice, cuts, display) -> list[str]:
              "use only, not a medical device.")
     lips = lips_told([(cut.name, cut.path) for cut in cuts], slice.plane, slice.axes, display)
     return [line for text in (shown, lips) for line in wrap(text, LINE_LETTERS)]
-
-
-def _window(slice, mask) -> tuple[float, float]:
-    """Grey window that (a) and (d) share: the organ's values but for .5 % at either end, and the background's, unless
-    that is farther off than those are wide: water is 1000 units from air."""
-    low, high = np.percentile(slice.values[mask], [0.5, 99.5])
-    blank = blank_of(slice.values, mask)
-    near = low - (high - low) <= blank <= high + (high - low)
-    ends = [low, high, blank] if near else [low, high]
-    return min(ends), max(*ends, low + 1e-9)
 
 
 def _box_of_organ(slice, mask):

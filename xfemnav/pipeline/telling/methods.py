@@ -3,20 +3,32 @@
 It is written from the record of the run alone (`run.json`), so that whoever has the record can write it again.
 """
 
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import PurePath
+from typing import NamedTuple
 
 from xfemnav.pipeline.asking.parameters import KINDS
 
 LIBRARIES = ("numpy", "scipy", "scikit-image", "SimpleITK", "nibabel", "shapely", "numba")
-CITATIONS = (
+EXTENDED = (
     "Vigneron LM, Verly JG, Warfield SK. Modelling surgical cuts, retractions, and resections via extended finite "
     "element method. In: Medical Image Computing and Computer-Assisted Intervention (MICCAI 2004), Lecture Notes in "
     "Computer Science 3217, pp. 311–318. Springer, 2004.",
     "Moës N, Dolbow J, Belytschko T. A finite element method for crack growth without remeshing. International Journal "
     "for Numerical Methods in Engineering 46: 131–150, 1999.",
-    "Persson P-O, Strang G. A simple mesh generator in MATLAB. SIAM Review 46(2): 329–345, 2004.",
 )
+#: What the numbers in brackets are, by the dimension of the run.
+CITATIONS = {
+    2: (*EXTENDED, "Persson P-O, Strang G. A simple mesh generator in MATLAB. SIAM Review 46(2): 329–345, 2004."),
+    3: (*EXTENDED,
+        "Labelle F, Shewchuk JR. Isosurface stuffing: fast tetrahedral meshes with good dihedral angles. ACM "
+        "Transactions on Graphics 26(3): 57, 2007.",
+        "Vaněk P, Mandel J, Brezina M. Algebraic multigrid by smoothed aggregation for second and fourth order "
+        "elliptic problems. Computing 56: 179–196, 1996.",
+        "Bell N, Olson LN, Schroder J. PyAMG: algebraic multigrid solvers in Python. Journal of Open Source Software "
+        "7(72): 4142, 2022."),
+}
 ORGANS = {
     "mask": "The mask of the organ was given.",
     "stripped": "The image was skull-stripped; the organ is its foreground with the holes filled.",
@@ -43,13 +55,14 @@ SKULLS = {"fixed": "The outline was fixed", "sliding": "The outline slid along t
 
 def methods_paragraph(run: dict) -> str:
     """Plain text. `run` is the content of run.json for a run that has outputs; numbers in brackets are `CITATIONS`."""
-    asked = run["parameters"]
+    asked, told = run["parameters"], IN_SPACE if run.get("dimension", 2) > 2 else IN_THE_PLANE
     sentences = [
-        _software(run), _mesh(run), *map(_cut, run["cuts"]), *(_resection(each, asked) for each in run["resections"]),
-        _enrichment(run),
-        _tissue(asked), *_labels(asked), _outline(asked), *_loads(asked),
-        *(_retraction(each, run) for each in asked["retract"]), _lips(asked), _model(run), _steps(run), _outcome(run),
-        _image(asked), _carried(asked),
+        told.software(run), told.mesh(run), *map(told.cut, run["cuts"]),
+        *(_resection(each, asked) for each in run["resections"]), told.enrichment(run),
+        _tissue(asked, told.state.format(**asked["solve"])), *_labels(asked),
+        _outline(asked).replace("The outline", told.rim), *_loads(asked),
+        *(_retraction(each, run) for each in asked["retract"]), _lips(asked), _model(run), _steps(run),
+        _outcome(run, told.size), _image(asked, told.sample), _carried(asked),
     ]
     return " ".join(filter(None, sentences))
 
@@ -66,22 +79,45 @@ def _software(run):
             "of the method of Vigneron et al. [1].")
 
 
+def _solid_software(run):
+    shape, sizes = (" x ".join(f"{x:.4g}" for x in run["volume"][key]) for key in ("shape", "spacing"))
+    return (f"The preoperative image {PurePath(run['parameters']['image']).name} ({shape} voxels of {sizes} mm) was "
+            f"updated for the surgical cut in three dimensions with xfemnav {run['version']} ({library_versions()}, "
+            f"pyamg {version('pyamg')}), which extends the method of Vigneron et al. [1].")
+
+
 def _mesh(run):
     asked, mesh = run["parameters"]["mesh"], run["mesh"]
     size = f"{mesh['n_nodes']} nodes and {mesh['n_cells']} linear triangles"
     quality = f"(quality 2 r_in/r_out: smallest {mesh['min_quality']:.2f}, mean {mesh['mean_quality']:.2f})"
     if asked["file"]:
         return f"The mesh was given; it had {size} {quality}."
+    return (f"{ORGANS[run['segmentation']['method']]} A mesh made after [3] had {size} with {_edges(asked)} {quality}; "
+            "it does not contain the cut.")
+
+
+def _edges(asked):
     edges = f"edges of {asked['element_size_mm']:g} mm"
     if asked["corridor_mm"] > 0:
         edges += f", and of {asked['corridor_element_mm']:g} mm within {asked['corridor_mm']:g} mm of the cut"
-    return (f"{ORGANS[run['segmentation']['method']]} A mesh made after [3] had {size} with {edges} {quality}; it does "
-            "not contain the cut.")
+    return edges
+
+
+def _solid_mesh(run):
+    mesh, edges = run["mesh"], _edges(run["parameters"]["mesh"])
+    return (f"{ORGANS[run['segmentation']['method']]} A mesh made of its signed distance by isosurface stuffing [3] "
+            f"had {mesh['n_nodes']} nodes and {mesh['n_cells']} linear tetrahedra with {edges} (quality 3 r_in/r_out: "
+            f"smallest {mesh['min_quality']:.2f}, mean {mesh['mean_quality']:.2f}); it does not contain the cut.")
 
 
 def _cut(cut):
     points = " to ".join("({:.1f}, {:.1f})".format(*point) for point in cut["path"])
     return f"The cut '{cut['name']}' was {cut['length_mm']:.1f} mm long, in plane coordinates from {points} mm."
+
+
+def _solid_cut(cut):
+    return (f"The cut '{cut['name']}', a surface of {cut['area_mm2'] / 100:.1f} cm², was {cut['along_mm']:.1f} mm long "
+            f"and {cut['depth_mm']:.1f} mm deep in the mean.")
 
 
 def _resection(resection, asked):
@@ -104,10 +140,19 @@ def _enrichment(run):
             "of freedom.")
 
 
-def _tissue(asked):
+def _solid_enrichment(run):
+    nodes = run["enrichment"]
+    return ("It was embedded in the mesh by the extended finite element method [1, 2]: level sets at the nodes, signed "
+            "distances from it and from its border, split the tetrahedra that it crosses, and a discontinuous function "
+            f"was carried by {nodes['heaviside_nodes']} nodes; in all there were {nodes['n_dof']} degrees of freedom. "
+            "The equations were solved by conjugate gradients with smoothed aggregation [4, 5] to a relative residual "
+            f"of {run['checks']['residual']:.0e}.")
+
+
+def _tissue(asked, state):
     kind = {"linear": "linearly elastic", "neo-hookean": "neo-Hookean"}[asked["solve"]["model"]]
     where = " but for the labels below" if asked["tissue"]["by_label"] else ""
-    return (f"The tissue was homogeneous{where}, isotropic, and {kind} in plane {asked['solve']['stress_state']} "
+    return (f"The tissue was homogeneous{where}, isotropic, and {kind}{state} "
             f"(Young's modulus {asked['tissue']['young_kpa']:g} kPa, Poisson's ratio {asked['tissue']['poisson']:g}).")
 
 
@@ -126,10 +171,14 @@ def _loads(asked):
         fluid = load["fluid_level_mm"]
         drained = "drained" if fluid is None else (f"floating in fluid of {load['fluid_density_kg_m3']:g} kg/m³ beyond "
                                                    f"{fluid:g} mm along gravity")
-        yield ("Gravity acted along ({:g}, {:g})".format(*load["gravity"]) +
+        yield (f"Gravity acted along {_vector(load['gravity'])}"
                f" on tissue of {load['density_kg_m3']:g} kg/m³, {drained}.")
     for pressure in load["pressure"]:
         yield f"A pressure of {pressure['kpa']:g} kPa acted on '{pressure['on']}'."
+
+
+def _vector(numbers):
+    return f"({', '.join(f'{x:g}' for x in numbers)})"
 
 
 def _model(run):
@@ -167,17 +216,20 @@ def _retraction(retract, run):
     asked = run["parameters"]
     lip = f"The lip {retract['side']} of " + (f"'{retract['cut']}'" if len(asked["cut"]) > 1 else "the cut")
     if retract["displacement_mm"] is not None:
-        what = "was displaced by ({:g}, {:g}) mm".format(*retract["displacement_mm"]) + _from_where(retract, asked)
+        what = f"was displaced by {_vector(retract['displacement_mm'])} mm{_from_where(retract, asked)}"
     elif retract["normal_mm"] is not None:
         what = f"was displaced by {retract['normal_mm']:g} mm away from the other lip{_from_where(retract, asked)}"
     else:
-        what = "was loaded with ({:g}, {:g}) mN per mm of thickness".format(*retract["force_mN_per_mm"])
+        unit = "mN" if run.get("dimension", 2) > 2 else "mN per mm of thickness"
+        what = f"was loaded with {_vector(retract['force_mN_per_mm'])} {unit}"
     found = [row["blade"] for row in run["retractor"] if (row["cut"], row["side"]) == (retract["cut"], retract["side"])]
     blade = retract["blade"]
     if blade and len(found) == 1:
         blade = found[0]  # it ends before a tip, whatever was asked
     held = f" over {100 * blade[0]:.3g} to {100 * blade[1]:.3g} % of the cut's length from its mouth" if blade else ""
-    return f"{lip} {what}{held}."
+    along = retract.get("blade_along")
+    beside = f", and {100 * along[0]:.3g} to {100 * along[1]:.3g} % of the way along it" if along else ""
+    return f"{lip} {what}{held}{beside}."
 
 
 def _from_where(retract, asked):
@@ -196,12 +248,34 @@ def _lips(asked):
     return (imposed + FREE_LIPS[asked["boundary"]["lips"]]) if asked["cut"] else ""
 
 
-def _outcome(run):
+def _outcome(run, size):
     checks = run["checks"]
     return (f"The tissue moved by at most {checks['max_displacement_mm']:.2f} mm, the opened cavity measured "
-            f"{checks['cavity_mm2']:.0f} mm², and {checks['inverted_mm2']:.2f} mm² of tissue was inverted.")
+            f"{checks[f'cavity_{size}']:.0f} {UNITS[size]}, and {checks[f'inverted_{size}']:.2f} {UNITS[size]} of "
+            "tissue was inverted.")
 
 
-def _image(asked):
-    return (f"Every pixel of the updated image was sampled at its resting place in the preoperative image "
+def _image(asked, sample):
+    return (f"Every {sample} of the updated image was sampled at its resting place in the preoperative image "
             f"({asked['warp']['interp']} interpolation).")
+
+
+UNITS = {"mm2": "mm²", "mm3": "mm³"}
+
+
+class Told(NamedTuple):
+    """The sentences and words that a run has by its dimension."""
+
+    software: Callable[[dict], str]
+    mesh: Callable[[dict], str]
+    cut: Callable[[dict], str]
+    enrichment: Callable[[dict], str]
+    rim: str
+    state: str
+    size: str
+    sample: str
+
+
+IN_THE_PLANE = Told(_software, _mesh, _cut, _enrichment, "The outline", " in plane {stress_state}", "mm2",
+                    "pixel")
+IN_SPACE = Told(_solid_software, _solid_mesh, _solid_cut, _solid_enrichment, "The surface", "", "mm3", "voxel")

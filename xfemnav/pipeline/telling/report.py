@@ -8,6 +8,7 @@ all these are in run.json), so equal runs give equal pages.
 
 import base64
 import copy
+import math
 import os
 from pathlib import Path
 from urllib.parse import quote
@@ -20,7 +21,7 @@ from xfemnav.pipeline.asking.flags import keys, path_places
 from xfemnav.pipeline.asking.scenario_file import AGAIN, put
 from xfemnav.pipeline.keeping.disk import write_atomic
 from xfemnav.pipeline.telling import bearings
-from xfemnav.pipeline.telling.display import convention, lip_ends, lips_told
+from xfemnav.pipeline.telling.display import convention, ends, in_space, lip_ends, lips_told
 from xfemnav.pipeline.telling.methods import CITATIONS, methods_paragraph
 from xfemnav.pipeline.telling.palette import reduced
 from xfemnav.pipeline.telling.verdicts import MMHG_PER_KPA
@@ -50,6 +51,8 @@ CHECKS = {  # name in run.json: (what it is, unit)
     "blade_pressure_kPa": ("largest mean pressure of a blade", "kPa"),
     "main_young_kpa": ("Young's modulus of the main tissue", "kPa"),
 }
+#: Words of the page of a slice, and of a volume's.
+SPACE = {"_mm2": "_mm3", "mm²": "mm³", "area": "volume", "pixels": "voxels", "outline": "surface"}
 WORDS = {"ok": "ok", "look": "look at it", "untrusted": "not trusted"}
 #: The page calls settings by the keys of the scenario beside it, whichever way the run was asked for.
 NAMES = keys(Names(flag, flag, "", ""))
@@ -60,13 +63,36 @@ UNCHECKED = ("whether the mask is the organ", "whether cuts and resections are w
              "how the result compares with an image taken during surgery")
 
 
+def dimension_of(run: dict) -> int:
+    """2 of the run of a slice, 3 of a volume's; records of before do not say it, and are of slices."""
+    return run.get("dimension", 2)
+
+
+def worded(text: str, dimension: int) -> str:
+    """A text, or the name of a check, of slices as it is for volumes."""
+    for word, other in SPACE.items() if dimension > 2 else ():
+        text = text.replace(word, other)
+    return text
+
+
+def unchecked(dimension: int) -> tuple[str, ...]:
+    """What no check of a run can see: a volume has no tissue out of its plane."""
+    return tuple(item for item in UNCHECKED if dimension == 2 or "plane" not in item)
+
+
+def check_rows(run: dict) -> list[dict]:
+    """The rows of the table of checks that a run, or a step of one, has."""
+    names = [worded(name, dimension_of(run)) for name in CHECKS]
+    return [check_row(name, run) for name in names if run["checks"].get(name) is not None]
+
+
 def checked(run: dict) -> str:
     """What the word "complete" says of a run, and what it does not."""
     found = [item["verdict"] for step in run.get("steps") or [run] for item in step["verdicts"].values()]
     looks = found.count("look")
     amber = f", {looks} of them beyond a limit that asks for a look" if looks else ""
     return (f"Complete: every stage has ended, and of {len(found)} checks with a limit none says that the result is "
-            f"not to be trusted{amber}. Not checked: {'; '.join(UNCHECKED)}.")
+            f"not to be trusted{amber}. Not checked: {'; '.join(unchecked(dimension_of(run)))}.")
 
 
 def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
@@ -83,36 +109,37 @@ def write_report(run: dict, folder: Path, figures: dict[str, Path]) -> Path:
 
 def render(run: dict, figures: dict[str, bytes]) -> str:
     """The page. Every value is escaped by the template engine: names of files and cuts are other people's text."""
-    shown = run["slice"]["plane"], run["slice"]["axes"], run["parameters"]["display"]
-    cuts, error = [(cut["name"], cut["path"]) for cut in run["cuts"]], run.get("error")
+    error, solid = run.get("error"), dimension_of(run) > 2
+    display, lips = display_told(run, run["cuts"])
     return template("report.html").render(
         title=Path(run["parameters"]["image"]).name,
         status=run["status"],
         verdict=VERDICTS[run["status"]],
         checked=checked(run),
-        display=convention(*shown),
-        lips=lips_told(cuts, *shown),
+        display=display,
+        lips=lips,
+        unit="mm³" if solid else "mm²",
+        solid=solid,
         places=[sentence[0].upper() + sentence[1:] for sentence in bearings.told(run)],
         error=error and error | {"text": told(error, NAMES)},
         figure=embedded(figures.get("figure")),
         steps=[step_row(step, embedded(figures.get(f"figure:{step['name']}")), run["outputs"])
                for step in run.get("steps", ())],
-        pieces=run["pieces"],
+        pieces=[{"size": piece["volume_mm3" if solid else "area_mm2"], **piece} for piece in run["pieces"]],
         contacts=run["contact"],
         points=run.get("points", ()),
         again=AGAIN,
         stages=run["stages"],
-        checks=[check_row(name, run) for name in CHECKS if run["checks"].get(name) is not None],
+        checks=check_rows(run),
         warnings=[(each["code"], told(each, NAMES), said(FAULTS[each["code"]].remedy, NAMES))
                   for each in run["warnings"]],
-        retractors=[retractor_row(each, {name: lip_ends(path, shown[1]) for name, path in cuts})
-                    for each in run["retractor"]],
+        retractors=[retractor_row(each, lips_of(run)) for each in run["retractor"]],
         tips=[tip_row(each) for each in run["tips"]],
         parameters=list(flat(settings(run["parameters"]))),
         input=list(flat(run["input"])),
         outputs=[(role, name, link(name)) for role, name in run["outputs"].items()],
         methods=methods_paragraph(run),
-        citations=CITATIONS,
+        citations=CITATIONS[dimension_of(run)],
         version=run["version"],
     )
 
@@ -140,7 +167,7 @@ def embedded(png: bytes | None) -> str | None:
 
 def check_row(name: str, run: dict) -> dict:
     """A row of the table of checks: what it is, value, limit and verdict ("" for a check that has none)."""
-    what, unit = CHECKS[name]
+    what, unit = (worded(text, dimension_of(run)) for text in CHECKS[name.replace("_mm3", "_mm2")])
     judged = run["verdicts"].get(name)
     limit, verdict = (shown(float(judged["limit"])), judged["verdict"]) if judged else ("", "")
     return {"what": what, "unit": unit, "value": shown(run["checks"][name]), "limit": limit, "verdict": verdict,
@@ -165,18 +192,35 @@ def step_row(step: dict, figure: str | None, outputs: dict[str, str]) -> dict:
     }
 
 
-def retractor_row(retractor: dict, ends: dict[str, dict[str, str]]) -> dict:
-    """A row of the table of forces: components and size in mN per mm of thickness, pressure in kPa and mmHg.
+def display_told(run: dict, cuts: list[dict], display: str | None = None) -> tuple[str, str]:
+    """Which way round the pictures of a run are, and which of the lips of its cuts is which: in words."""
+    display = run["parameters"]["display"] if display is None else display
+    if dimension_of(run) > 2:
+        return in_space(display), ""  # the sentence on where a cut is says it
+    shown = run["slice"]["plane"], run["slice"].get("axes"), display
+    return convention(*shown), lips_told([(cut["name"], cut["path"]) for cut in cuts], *shown)
 
-    `ends`: the letter of the patient's side that each lip lies towards, by cut.
+
+def lips_of(run: dict) -> dict[str, dict[str, str]]:
+    """The letter of the patient's side that each lip lies towards, by cut."""
+    if dimension_of(run) > 2:
+        return {cut["name"]: dict(zip(("right", "left"), ends(cut["left"]))) for cut in run["cuts"]}
+    return {cut["name"]: lip_ends(cut["path"], run["slice"]["axes"]) for cut in run["cuts"]}
+
+
+def retractor_row(retractor: dict, lips: dict[str, dict[str, str]]) -> dict:
+    """A row of the table of forces: components and size in mN per mm of thickness, in a volume mN; pressure in kPa and
+    mmHg.
+
+    `lips`: as `lips_of` gives them.
     """
-    fx, fy = retractor["force_mN_per_mm"]
+    force = retractor.get("force_mN") or retractor["force_mN_per_mm"]
     pressure = retractor["mean_pressure_kPa"]
     return {
         "cut": retractor["cut"],
-        "side": f"{retractor['side']} of it, the {ends[retractor['cut']][retractor['side']]} lip",
-        "force": f"({fx:.2f}, {fy:.2f})",
-        "size": f"{(fx**2 + fy**2) ** 0.5:.2f}",
+        "side": f"{retractor['side']} of it, the {lips[retractor['cut']][retractor['side']]} lip",
+        "force": f"({', '.join(f'{x:.2f}' for x in force)})",
+        "size": f"{math.hypot(*force):.2f}",
         "kpa": f"{pressure:.3f}",
         "mmhg": f"{pressure * MMHG_PER_KPA:.1f}",
     }

@@ -24,25 +24,30 @@ class Bounds(NamedTuple):
 BOUNDS = {
     "residual": Bounds(untrusted=limits.RESIDUAL),
     "max_displacement_mm": Bounds(limits.MOVED, limits.MOVED_AT_ALL),
-    "inverted_mm2": Bounds(limits.FOLDED_NOTICE, limits.INVERTED),
+    "inverted_mm2": Bounds(limits.FOLDED_NOTICE[2], limits.INVERTED),
+    "inverted_mm3": Bounds(limits.FOLDED_NOTICE[3], limits.INVERTED_MM3),
     "overlap_mm2": Bounds(limits.NO_OVERLAP, limits.OVERLAP),
+    "overlap_mm3": Bounds(limits.NO_OVERLAP, limits.OVERLAP_MM3),
     "largest_strain": Bounds(limits.SMALL_STRAIN),
     "main_strain": Bounds(limits.STRAIN),
     "turning_mm": Bounds(limits.TURNING),
     "resized_mm2": Bounds(limits.RESIZED),
+    "resized_mm3": Bounds(limits.RESIZED_MM3),
     "tripled_mm2": Bounds(untrusted=limits.TRIPLED),
+    "tripled_mm3": Bounds(untrusted=limits.TRIPLED_MM3),
     "blade_pressure_kPa": Bounds(limits.PRESSURE),
     "main_young_kpa": Bounds(limits.STIFFEST, least=limits.SOFTEST),
 }
 
 
 def bounds(name: str, model: str = "linear", pixel_mm2: float = 0.0) -> Bounds:
-    """Of a check, with the model 'linear' or 'neo-hookean' and pixels of `pixel_mm2`."""
+    """Of a check, with the model 'linear' or 'neo-hookean' and pixels of `pixel_mm2`, voxels of so many mm^3."""
     found = BOUNDS[name]
     if name == "largest_strain" and model != "linear":
         return found._replace(look=limits.STRAIN)
-    if name == "overlap_mm2":
-        return found._replace(untrusted=limits.OVERLAP._replace(value=max(limits.OVERLAP.value, 2 * pixel_mm2)))
+    if name.startswith("overlap"):
+        most = found.untrusted
+        return found._replace(untrusted=most._replace(value=max(most.value, 2 * pixel_mm2)))
     return found
 
 
@@ -76,22 +81,23 @@ def is_trusted(facts: dict, pixel_mm2: float) -> bool:
 
 #: Why a result is not to be trusted, by the check that says so.
 REASONS = {
-    "inverted_mm2": "the retraction folds the tissue: {value:.2f} mm2 are inverted, over {limit:g} mm2",
-    "tripled_mm2": "tissue is blown up: {value:.3g} mm2{place} are more than {trebled:g} times as large as at rest, "
-                   "over {limit:g} mm2; ask for less, or look whether it hangs on by little",
+    "inverted": "the retraction folds the tissue: {value:.2f} {unit} are inverted, over {limit:g} {unit}",
+    "tripled": "tissue is blown up: {value:.3g} {unit}{place} are more than {trebled:g} times as large as at rest, "
+               "over {limit:g} {unit}; ask for less, or look whether it hangs on by little",
     "max_displacement_mm": "tissue moves by {value:.3g} mm, over {limit:g} mm; look whether it hangs on by little",
-    "overlap_mm2": "{value:.1f} mm2 of tissue lie twice, over {limit:g} mm2: lips, or walls of a resection, have moved "
-                   "through each other. Swap left and right if they are swapped, hold both lips, or load less",
+    "overlap": "{value:.1f} {unit} of tissue lie twice, over {limit:g} {unit}: lips, or walls of a resection, have "
+               "moved "
+               "through each other. Swap left and right if they are swapped, hold both lips, or load less",
 }
 #: The warning that a check asks for beyond its limit, {finite} with the linear model only.
 DOUBTS = {
     "main_strain": ("W406", "1 % of the main tissue is strained by more than {value:.2f}{place}, over {limit:g}, the "
                             "most that this model is for; {finite}ask for a smaller displacement."),
-    "turning_mm": ("W407", "{turned_mm2:.3g} mm2 of tissue{place} turn by more than {turned_deg:.0f} degrees, which "
+    "turning_mm": ("W407", "{turned:.3g} {unit} of tissue{place} turn by more than {turned_deg:.0f} degrees, which "
                            "small rotations misplace by {value:.2g} mm, over {limit:g} mm; {finite}ask for less, or "
                            "look whether they hang on by little."),
-    "resized_mm2": ("W407", "{value:.3g} mm2 of tissue{place} more than double or halve their area, over {limit:g} "
-                            "mm2; {finite}ask for less, or look whether they hang on by little."),
+    "resized": ("W407", "{value:.3g} {unit} of tissue{place} more than double or halve their {size}, over {limit:g} "
+                        "{unit}; {finite}ask for less, or look whether they hang on by little."),
     "max_displacement_mm": ("W407", "tissue moves by {value:.3g} mm, over {limit:g} mm, farther than brains shift; "
                                     "look whether it hangs on by little."),
     "blade_pressure_kPa": ("W408", "a blade presses with {value:.3g} kPa ({mmhg:.0f} mmHg), harder than any retractor "
@@ -103,16 +109,29 @@ DOUBTS = {
 
 def reasons(step: str, found: dict[str, dict]) -> list[str]:
     """Why a step ("" for a run without) is not to be trusted, from its verdicts; empty when it is."""
-    return [_said(text, step, found[name]) for name, text in REASONS.items()
-            if name in found and found[name]["verdict"] == UNTRUSTED]
+    return [_said(REASONS[plain(name)], step, found[name], unit=_unit(found)) for name in found
+            if plain(name) in REASONS and found[name]["verdict"] == UNTRUSTED]
 
 
 def doubts(step: str, found: dict[str, dict], checks: dict, model: str) -> list[tuple[str, str]]:
     """Codes and texts of the warnings that the verdicts on a step ask for."""
-    turned = {name: checks[name] for name in ("turned_mm2", "turned_deg") if name in checks}
-    finite = "use ⟦model=neo-hookean⟧, " if model == "linear" else ""
-    return [(code, _said(text, step, found[name], finite=finite, **turned)) for name, (code, text) in DOUBTS.items()
-            if name in found and found[name]["verdict"] != OK]
+    unit = _unit(found)
+    turned = {"turned": checks.get(f"turned_{unit}"), "turned_deg": checks.get("turned_deg"), "unit": unit,
+              "size": "volume" if unit == "mm3" else "area"}
+    finite = "use ⟦model=neo-hookean⟧, " if model == "linear" and unit == "mm2" else ""
+    return [(code, _said(text, step, found[name], finite=finite, **turned))
+            for name, (code, text) in ((name, DOUBTS[plain(name)]) for name in found if plain(name) in DOUBTS)
+            if found[name]["verdict"] != OK]
+
+
+def plain(name: str) -> str:
+    """The name of a check without the unit of an area or a volume."""
+    return name.removesuffix("_mm2").removesuffix("_mm3")
+
+
+def _unit(found: dict[str, dict]) -> str:
+    """The unit of the sizes of tissue among verdicts: mm3 in a volume."""
+    return "mm3" if any(name.endswith("_mm3") for name in found) else "mm2"
 
 
 def stillness(checks: list[dict], taken: bool) -> list[tuple[str, str]]:
@@ -139,7 +158,7 @@ def _said(text, step, verdict, **more):
     """A text with its numbers, and with the step that it is about."""
     value, place = verdict["value"], verdict.get("place_mm")
     numbers = {"value": value, "limit": verdict["limit"], "mmhg": value * MMHG_PER_KPA,
-               "place": " about ({:.1f}, {:.1f}) mm".format(*place) if place else "",
+               "place": f" about ({', '.join(f'{x:.1f}' for x in place)}) mm" if place else "",
                "trebled": limits.TRIPLED_TIMES, "most_mmhg": limits.PRESSURE.value * MMHG_PER_KPA,
                "softest": limits.SOFTEST.value, "stiffest": limits.STIFFEST.value}
     return (f"in step '{step}' " if step else "") + text.format(**numbers | more)
