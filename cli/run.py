@@ -96,7 +96,8 @@ stage_commands = (
 def _demo(**given) -> int:
     """The paper's experiment on a real slice: MNI152 T1, axial z = +18 mm, cut and opened by +-(3.5, 1) mm.
 
-    Options change it: `--lip-constraint pointwise --corridor-mm 0` are the paper's own choices.
+    Options change it: `--lip-constraint pointwise --corridor-mm 0` are the paper's own choices. With `--dim 3`: an
+    approach through the right frontal lobe of the whole volume, 40 mm long and 49 deep, opened by 8 mm.
     """
     from xfemnav.pipeline.running import demo
 
@@ -104,7 +105,8 @@ def _demo(**given) -> int:
     return execute(demo.with_defaults(given) | {"image": demo.image()})
 
 
-demo = Grouped("demo", params=[*control(), *whole(), *options((*STAGES[1:], "report")), option("nifti_frame")],
+demo = Grouped("demo", params=[*control(), *whole(), *options((*STAGES[1:], "report")), option("nifti_frame"),
+                       option("dim")],
                callback=_demo, help=_demo.__doc__)
 
 

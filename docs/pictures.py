@@ -1,11 +1,13 @@
 """The pictures of the pages: of the runs that they describe, and of the scenarios that they print.
 
-Called by `make docs` when out/demo and out/worked-case are there; `python docs/pictures.py NAME ...` draws some alone.
+Called by `make docs` when out/demo, out/demo3d and out/worked-case are there; `python docs/pictures.py NAME ...` draws
+some alone.
 """
 
 import re
 import sys
 import warnings
+from functools import partial
 from pathlib import Path
 
 import matplotlib
@@ -252,7 +254,7 @@ def finite_strain() -> None:
     saved(figure, "finite-strain-model")
 
 
-PICTURES = {"demo": lambda: shrunk("demo"), "worked-case": lambda: shrunk("worked-case"), "cuts": cuts,
+PICTURES = {**{name: partial(shrunk, name) for name in ("demo", "demo3d", "worked-case")}, "cuts": cuts,
             "resections": resections, "tumour-core": tumour_core, "contact": contact, "tissues-and-loads": tissues,
             "steps": steps, "companions": companions, "finite-strain-model": finite_strain}
 

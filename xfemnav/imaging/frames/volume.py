@@ -31,6 +31,7 @@ class Volume:
     affine: np.ndarray
     frame_code: int
     frames: Frames | None = None
+    name = "the volume"  # what messages call it
     thickness = 0.0  # mm: every point lies in the volume, none off it
     axes = np.eye(3)  # of its points: the world's
 

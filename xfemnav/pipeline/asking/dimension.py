@@ -34,7 +34,7 @@ def _at(raw, place):
 
 def _of_a_slice(raw):
     found = [f"{place}: a volume (dimension 3) has none: {why}" for place, why in OF_A_SLICE.items()
-             if _at(raw, place) not in (None, False, [], ())]
+             if (value := _at(raw, place)) is not None and value is not False and value not in ([], ())]
     for place, (words, why) in UNKNOWN_IN_SPACE.items():
         if _at(raw, place) in ((words,) if isinstance(words, str) else words):
             found.append(f"{place}: '{_at(raw, place)}' is for slices: {why}")

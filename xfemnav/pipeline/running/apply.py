@@ -11,6 +11,7 @@ from xfemnav.errors import XfemnavError
 from xfemnav.pipeline.keeping.disk import OTHER_TMPDIR, remove_temporaries, scratch, write_together, writing
 from xfemnav.pipeline.keeping.locks import locked
 from xfemnav.pipeline.keeping.names import BIDS, public_name, sidecar_name, slug, stem
+from xfemnav.pipeline.running.reopening import refuse_a_volume
 from xfemnav.pipeline.running.result import Result
 from xfemnav.pipeline.running.runfile import DESCRIBED, json_text
 from xfemnav.pipeline.stages.inputs import Warned, recorded
@@ -60,6 +61,7 @@ def apply(result: Result, path: Path, folder: Path, choices: Choices = Choices()
     E501 to E503.
     """
     path, folder = Path(path), Path(folder)
+    refuse_a_volume(result, path.name)
     carry = _kind_of(path)
     if choices.inverse and carry is not _points:
         raise XfemnavError("E780", f"{path.name} holds no points, and ⟦inverse⟧ is for points alone. Leave it out.")

@@ -44,6 +44,13 @@ def preoperative(record: dict, folder: Path, given: Path | None = None):
     return taken(image, asked.dimension, **asked.slice.model_dump())
 
 
+def refuse_a_volume(result, what: str) -> None:
+    """Raise E780 for what the runs of slices alone have; `result` is a Result."""
+    if result.dimension > 2:
+        raise XfemnavError("E780", f"{what}: the run in {result.folder} is of a volume, which has none yet. Its "
+                                   "updated image, cavity, lips and moved mesh are files of the run.")
+
+
 def refuse_changed(role: str, path: Path, record: dict) -> None:
     """Raise E703 where an output of a run is not what that has written; E100 and E106 where it is no file.
 

@@ -19,7 +19,7 @@ from xfemnav.pipeline.keeping.disk import write_atomic
 from xfemnav.pipeline.keeping.kernels import settle_kernel_cache, spare_the_run
 from xfemnav.pipeline.keeping.record import read_record
 from xfemnav.pipeline.running import job
-from xfemnav.pipeline.running.reopening import preoperative, refuse_changed, taken
+from xfemnav.pipeline.running.reopening import preoperative, refuse_a_volume, refuse_changed, taken
 
 if TYPE_CHECKING:
     from xfemnav.geometry.mesh import Mesh
@@ -184,7 +184,7 @@ class Result:
     @cached_property
     def outline(self) -> np.ndarray:
         """The organ's outline now, a closed loop (k, 2) plane mm, its mouths bridged by straight lines."""
-        self._refuse_a_volume("outline")
+        refuse_a_volume(self, "outline")
         from xfemnav.geometry.plane.moved_outline import moved_outline
 
         return moved_outline(self.organ.outline, self.motion)
@@ -192,7 +192,7 @@ class Result:
     @cached_property
     def update(self) -> "Update":
         """What became of each pixel of the slice: an Update, whose image is the organ's mask."""
-        self._refuse_a_volume("update")
+        refuse_a_volume(self, "update")
         return self._updated(self.frame.values)
 
     def to_preoperative(self, points: ArrayLike) -> np.ndarray:
@@ -202,7 +202,7 @@ class Result:
     def to_current(self, points: ArrayLike, side: Side = None) -> np.ndarray:
         """Where the tissue that was at `points` in the preoperative image is now."""
         if side is not None:
-            self._refuse_a_volume("the side of a cut")
+            refuse_a_volume(self, "the side of a cut")
         return self._mapped(points, lambda plane: self.motion.to_current(plane, side_number(side)))
 
     def displacement(self, points: ArrayLike, side: Side = None) -> np.ndarray:
@@ -214,7 +214,7 @@ class Result:
 
         From the preoperative image to now, on the lip of `side` where they are on a cut; with `inverse` from now back.
         """
-        self._refuse_a_volume("landmarks")
+        refuse_a_volume(self, "landmarks")
         from xfemnav.imaging.carrying.landmarks import moved_points, resting_points
 
         if inverse:
@@ -224,7 +224,7 @@ class Result:
     def streamlines(self, path: AnyPath) -> "MovedStreamlines":
         """The tractogram in a .trk, .trk.gz or .tck file after the motion: MovedStreamlines of
         `xfemnav.imaging.carrying.streamlines`."""
-        self._refuse_a_volume("streamlines")
+        refuse_a_volume(self, "streamlines")
         from xfemnav.imaging.carrying.streamlines import move_streamlines
         from xfemnav.imaging.points.tract_files import read_streamlines
 
@@ -236,7 +236,7 @@ class Result:
 
         `space` (ras, lps) is that of a file that does not say its own; by default the run's.
         """
-        self._refuse_a_volume("surface")
+        refuse_a_volume(self, "surface")
         from xfemnav.imaging.carrying.surfaces import move_surface
         from xfemnav.imaging.points.surface_files import read_surface
 
@@ -265,7 +265,7 @@ class Result:
         which frame of a header with two is taken; left out, it is the run's choice. An array (n1, n2) along e1 and e2
         of the run's slice gives an array.
         """
-        self._refuse_a_volume("warp of another image")
+        refuse_a_volume(self, "warp of another image")
         from xfemnav.imaging.carrying.companions import carry
         from xfemnav.imaging.carrying.kinds import kind_of, read_companion
 
@@ -298,7 +298,7 @@ class Result:
         image, so that resampling (ANTs, SimpleITK) loses no tissue and gives background. Raises E780 for another
         suffix, E501 and E502.
         """
-        self._refuse_a_volume("transform")
+        refuse_a_volume(self, "transform")
         from xfemnav.imaging.carrying.transform import backward, forward, roomy
 
         path = path_of(path, "path")
@@ -343,12 +343,6 @@ class Result:
     def dimension(self) -> int:
         """2 of a slice, 3 of a volume."""
         return self.record.get("dimension", 2)
-
-    def _refuse_a_volume(self, what: str) -> None:
-        """Raise E780 for what slices alone have."""
-        if self.dimension > 2:
-            raise XfemnavError("E780", f"{what}: the run in {self.folder} is of a volume, which has none yet. Its "
-                                       "updated image, cavity, lips and moved mesh are files of the run.")
 
     def _read(self, role: str) -> "Slice | Volume":
         """An image that the run has written."""

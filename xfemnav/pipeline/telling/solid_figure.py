@@ -51,7 +51,7 @@ def _drawn(volume, mask, problem, solution, update, display) -> Figure:
     caption = _caption(problem.cuts, middle, display)
     figure, found = panels(1, 1, len(caption), rows=3)
     grey, most = window(volume, mask), solution.max_displacement_mm
-    planes = [take_slice(volume, plane=plane, position_mm=middle[axes[2]]) for plane, axes in PLANES.items()]
+    planes = [_through(volume, plane, middle) for plane in PLANES]
     boxes = _boxes(planes, np.concatenate([rest, *lips]), problem.mesh.points)
     for k, (shown, box) in enumerate(zip(planes, boxes)):
         before, after, moved = found[k::3]
@@ -70,6 +70,12 @@ def _drawn(volume, mask, problem, solution, update, display) -> Figure:
     figure.colorbar(colours, cax=scale, orientation="horizontal")
     figure.text(0.5, 0.1 / figure.get_figheight(), "\n".join(caption), ha="center", fontsize=9)
     return figure
+
+
+def _through(volume, plane, point):
+    """The slice of a volume in a plane through a point (3,) mm: of voxels, whose normal is not quite the world's."""
+    normal = take_slice(volume, plane=plane, index=0).axes[2]
+    return take_slice(volume, plane=plane, position_mm=float(normal @ point))
 
 
 def middle_of(rest, lips) -> np.ndarray:
