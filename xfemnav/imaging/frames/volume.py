@@ -12,7 +12,7 @@ import numpy as np
 
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import frozen_array
-from xfemnav.imaging.frames.grid import SAME_PIXEL, SKEW, at, by
+from xfemnav.imaging.frames.grid import SAME_PIXEL, at, by
 from xfemnav.imaging.reading.gate import Image
 from xfemnav.imaging.reading.lean import nibabel
 from xfemnav.imaging.reading.nifti_frames import OTHER, PERPENDICULAR, Frames, plain_header
@@ -139,14 +139,10 @@ def upright(volume: Volume, spacing_mm: float | None = None) -> Volume:
 
 
 def take_volume(image: Image) -> Volume:
-    """The whole of `image`. Raises E105 when it is one slice, E111 when its axes are sheared."""
+    """The whole of `image`. Raises E105 when it is one slice."""
     if 1 in image.values.shape:
         raise XfemnavError("E105", f"{image.name} is one slice of {' x '.join(map(str, image.values.shape))} voxels, "
                                    "not a volume.")
-    axes = image.affine[:3, :3] / np.linalg.norm(image.affine[:3, :3], axis=0)
-    if (skew := abs(axes.T @ axes - np.eye(3)).max()) > SKEW:
-        raise XfemnavError("E111", f"the voxels of {image.name} are sheared: its axes meet at "
-                                   f"{np.degrees(np.arccos(skew)):.2f} degrees. Resample it to right angles.")
     return Volume(image.values, image.affine, image.frame_code, image.frames)
 
 
