@@ -173,6 +173,11 @@ def test_what_a_volume_has_not_yet_is_refused(made, asked):
     assert found.value.code == "E780" and "volume" in found.value.text
 
 
+def test_a_session_is_of_a_slice(made):
+    with pytest.raises(XfemnavError, match=r"E780.*volume"):
+        package.Session(made.image, mask=made.mask, dim=3, corridor=OPENED["cut"], towards=(0, 0, 8))
+
+
 def test_nothing_is_applied_to_other_files_yet(made, capfd):
     (made.folder / "p.csv").write_text("x,y,z\n0,0,0\n")
     for name in (made.image, made.folder / "p.csv"):

@@ -274,6 +274,8 @@ def _move(move) -> np.ndarray:
 def _refuse(config) -> None:
     """Name every setting that a session cannot have."""
     params = config.constrain
+    if config.segment.dimension > 2:
+        raise XfemnavError("E780", "a session is of a slice: a volume is for runs so far.")
     if not params.cuts:
         raise XfemnavError("E780", "a session needs to know where cuts are planned: give a corridor.")
     found = [name.replace(".", " ").replace("_", " ") for name, value in ONLY.items()
