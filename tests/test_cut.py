@@ -198,4 +198,5 @@ def test_a_cut_that_starts_on_another_is_its_branch():
 def test_a_cut_is_a_chart():
     cut = Cut([[0, 0], [3, 4]], "approach")
     asked = {name: getattr(cut, name) for name, value in vars(Chart).items() if isinstance(value, property)}
+    assert asked.pop("mouth_line").tolist() == [[0, 0]]
     assert asked == {"name": "approach", "mouth": True, "craniotomy": True, "length": 5}

@@ -135,6 +135,12 @@ RUN = {
     "lip_force": (MOVED, ("--lip-force", "left=4,8"), ("--lip-force", "left=2,4"), grows(REACH, .4, .7)),
     "opening_mm": (MOVED, ("--opening-mm", "4"), ("--opening-mm", "8"), grows(REACH, 1.8, 2.2)),
     "blade": (SOLVED, (), ("--blade", "0,0.3"), lambda a, b: energy(b) < energy(a)),
+    # Of volumes: the small head is a slice, and says so (whole volumes: test_solid_run.py).
+    "dim": (SOLVED, (), ("--dim", "3"), lambda a, b: a.code == 0 and "E780" in b.err),
+    "towards": (SOLVED, (), ("--towards", "0,0,0"), lambda a, b: a.code == 0 and "E780" in b.err),
+    "depth_mm": (SOLVED, (), ("--depth-mm", "20"), lambda a, b: a.code == 0 and "E780" in b.err),
+    "blade_along": (SOLVED, (), ("--blade-along", "0,0.5"), lambda a, b: a.code == 0 and "E780" in b.err),
+    "transform_spacing_mm": (SOLVED, (), ("--transform-spacing-mm", "4"), lambda a, b: a.code == 0 and "E780" in b.err),
     "lips": ((*MOVED, "--left=1,-4"), (), ("--lips", "free"),
              lambda a, b: a.check("overlap_mm2") == 0 and b.check("overlap_mm2") > 50),
     "resect": (SOLVED, (), ("--resect", "-25,0 -5,0 -5,15"), grows("cavity_mm2", 1.5)),

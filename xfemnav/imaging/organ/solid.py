@@ -11,8 +11,7 @@ from xfemnav.imaging.organ.stripped import judge
 from xfemnav.imaging.reading.gate import Image
 from xfemnav.limits import BRAIN_MM3, LEAST_BRAIN_MM3
 
-TOOLS = "SynthStrip (mri_synthstrip -i IMAGE -m mask.nii.gz), HD-BET (hd-bet -i IMAGE -o OUT --save_bet_mask) or ANTs \
-(antsBrainExtraction.sh)"
+TOOLS = "SynthStrip (mri_synthstrip), HD-BET (hd-bet) or ANTs (antsBrainExtraction.sh)"
 
 
 def organ_in(volume: Volume, image: Image, mask: np.ndarray | None, skull: str = "auto") -> Segmentation:

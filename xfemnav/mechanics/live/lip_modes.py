@@ -165,6 +165,8 @@ class LipModes:
 class System:
     """A q = b + C' f under C q = d, for any b and d: by the Cholesky factor of A, and that of C's compliance."""
 
+    iterated = False
+
     def __init__(self, A, C):
         # Symmetric: the transpose is in the order that LAPACK wants.
         self.factor, info = lapack.dpotrf(A.T, lower=True)

@@ -225,7 +225,7 @@ def _path(points, markup: str | None, space: str, file: Path | None, smooth: boo
         from xfemnav.imaging.points.point_files import read_points
 
         found = read_points(file, name=markup, planes=dimension > 2)
-        form = found.kind
+        form = found.kind if found.kind == "Plane" else ""
         if found.form is not None and not found.form.stated:
             raise XfemnavError("E308", f"{file.name} does not say in which frame its x,y,z count. Name the columns "
                                        "r,a,s or l,p,s, or put its coordsystem.json beside it.")

@@ -1,19 +1,7 @@
 """The stage mesh of a volume: a mask becomes tetrahedra, small about the cuts."""
 
-from dataclasses import dataclass
-
-from xfemnav.geometry.mesh import Mesh
-from xfemnav.geometry.solid.field import Field
-
 #: By so many mm the elements grow for each mm away from the corridor.
 GROWTH = 0.35
-
-
-@dataclass(frozen=True, eq=False)
-class Organ(Mesh):
-    """The mesh, which does not know the cuts, and the signed distance that it was made of."""
-
-    field: Field | None = None
 
 
 def compute(params, inputs):
@@ -21,6 +9,7 @@ def compute(params, inputs):
     import numpy as np
     from scipy.spatial import cKDTree
 
+    from xfemnav.geometry.solid.organ import Organ
     from xfemnav.geometry.solid.stuffing import stuff
     from xfemnav.imaging.frames.sheets import sheets
     from xfemnav.imaging.organ.distance import signed_distance

@@ -41,7 +41,6 @@ def _trusted(solution, still, part, inputs) -> bool:
     """Whether the motion for a part of the blades' data is trusted, tissue that lies twice included."""
     import numpy as np
 
-    from xfemnav.geometry.motion import Motion
     from xfemnav.imaging.carrying.warp import pull_back
     from xfemnav.mechanics.solving.measures import displacement_gradient, strains
     from xfemnav.pipeline.stages import stage_solve
@@ -49,7 +48,7 @@ def _trusted(solution, still, part, inputs) -> bool:
 
     moved = still + part * (solution.moved - still)
     H = displacement_gradient(solution.rest, moved)
-    scaled = replace(solution, motion=Motion(solution.rest, moved, solution.motion.cuts), strain=strains(H, False),
+    scaled = replace(solution, motion=replace(solution.motion, moved=moved), strain=strains(H, False),
                      det_F=np.linalg.det(H + np.eye(3)))
     volume, _ = inputs.value("segment")
     voxel, found = float(volume.spacing.prod()), stage_solve.facts(scaled, inputs.config.solve, inputs)

@@ -20,7 +20,8 @@ Paths are relative to the file and stay in its folder, so that a scenario from e
 Every run writes its scenario, defaults filled in, as `scenario.toml` among its [outputs](outputs.md).
 An example is in [worked-case.md](../use/worked-case.md).
 
-On the command line, ⟦cut⟧, ⟦markup⟧, ⟦left⟧, ⟦right⟧, ⟦lip_force⟧, ⟦opening_mm⟧, ⟦blade⟧ and ⟦internal⟧
+On the command line, ⟦cut⟧, ⟦markup⟧, ⟦left⟧, ⟦right⟧, ⟦lip_force⟧, ⟦opening_mm⟧, ⟦blade⟧, ⟦blade_along⟧,
+⟦towards⟧, ⟦depth_mm⟧ and ⟦internal⟧
 say what `[[cut]]` and `[[retract]]` say here. A ⟦cut⟧ takes the place of all cuts of the scenario and of what held
 their lips; a ⟦resect⟧ takes the place of all resections. ⟦companion=[KIND=]FILE⟧, with its ⟦axes⟧ and
 ⟦tensor_order⟧, ⟦points⟧, ⟦streamlines⟧ and ⟦surfaces⟧ come after the scenario's own.
