@@ -221,7 +221,7 @@ def rows_of(points) -> np.ndarray:
 def mapped(slice: Slice, points, move) -> np.ndarray:
     """`points` as `move` maps those of a slice (n, 2), or of a Volume (n, 3), in their own form; world points keep
     their distance from a slice (W132). Raises E780."""
-    rows, d = rows_of(points), slice.values.ndim
+    rows, d = rows_of(points), 2 if slice is None else slice.values.ndim  # a session may have no image
     if rows.shape[1] < d:
         raise XfemnavError("E780", "points in a volume are world RAS mm, (n, 3).")
     if rows.shape[1] == d:
