@@ -65,19 +65,19 @@ def judged(marks) -> str:
     return table(("mark", "at most", "measured", ""), rows)
 
 
-def write_page() -> None:
-    """docs/measured/performance.md from what is kept."""
+def write_page(page, preface, titles) -> None:
+    """A page of docs/measured from what is kept of the benchmarks with `titles`."""
     found = {name: json.loads((RESULTS / f"{name}.json").read_text())
-             for name in TITLES if (RESULTS / f"{name}.json").exists()}
+             for name in titles if (RESULTS / f"{name}.json").exists()}
     machines = dict.fromkeys(part["machine"] for part in found.values())
     marks = [mark for part in found.values() for mark in part["marks"]]
-    text = PREFACE + "\n".join(machines) + "\n\n## The marks\n\n" + judged(marks)
+    text = preface + "\n".join(machines) + "\n\n## The marks\n\n" + judged(marks)
     for name, part in found.items():
-        text += f"\n## {TITLES[name]}\n\n{_about(name)}\n\n"
+        text += f"\n## {titles[name]}\n\n{_about(name)}\n\n"
         if name == "accuracy_time":
             text += "![Error against seconds](../figures/accuracy-time.png)\n\n"
         text += part["text"]
-    PAGE.write_text(text)
+    page.write_text(text)
 
 
 def _about(name) -> str:
@@ -86,13 +86,13 @@ def _about(name) -> str:
     return "\n\n".join(part for part in words if not part.startswith("    "))
 
 
-def main(arguments) -> None:
+def main(arguments, page=PAGE, preface=PREFACE, titles=TITLES) -> None:
     """Run the benchmarks named, and write the page."""
-    chosen = [name for name in arguments if name != "--page"] or ([] if "--page" in arguments else list(TITLES))
+    chosen = [name for name in arguments if name != "--page"] or ([] if "--page" in arguments else list(titles))
     for name in chosen:
         print(f"== {name}", flush=True)
         subprocess.run([sys.executable, "-m", f"benchmarks.{name}"], check=True)
-    write_page()
+    write_page(page, preface, titles)
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ def test_written_pages_are_those_of_the_program(name, writer):
     assert (ROOT / f"docs/reference/{name}.md").read_text() == writer.page(), again
 
 
-MEASURED = ("accuracy", "networks", "finite_strain", "sensitivity", "segmentation", "performance")
+MEASURED = ("accuracy", "networks", "finite_strain", "sensitivity", "segmentation", "performance", "volume")
 MESHLESS = ("benchmarks.mutations", "tests.fuzz.page")  # they need no mesh of another program's
 
 

@@ -8,7 +8,17 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from benchmarks.verification.solids import OBLIQUE, ball, defects, dihedral, fidelity, masks, shape
+from benchmarks.verification.solids import (
+    OBLIQUE,
+    about_place,
+    ball,
+    coarse_for,
+    defects,
+    dihedral,
+    fidelity,
+    masks,
+    shape,
+)
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import area_vectors
 from xfemnav.geometry.solid.field import Field
@@ -39,11 +49,6 @@ def uniform(points):
 def graded(points):
     """Fine near the plane x = 0."""
     return 1 + 0.3 * np.abs(points[:, 0])
-
-
-def about_place(middle):
-    """Fine within 20 mm of a place."""
-    return lambda x: 1.25 + 0.1 * np.maximum(np.linalg.norm(x - middle, axis=1) - 20, 0)
 
 
 def check(mesh):
@@ -168,9 +173,7 @@ def test_twenty_masks():
     print(f"\n{'mask':28} nodes    q   angles  volume %   p99   far mm")
     for name, (mask, affine) in masks().items():
         field = signed_distance(mask, affine)
-        inside = np.argwhere(field.values > 0)
-        middle = field.origin + inside[np.argmax(inside @ (0.3, 0.5, 0.8))] @ field.axes
-        mesh = stuff(field, about_place(middle), 1.25, 5.0 if mask.sum() > 3e5 else 2.5)
+        mesh = stuff(field, about_place(field), 1.25, coarse_for(field))
         angles, found = check(mesh), fidelity(field, mesh)
         print(f"{name:28} {len(mesh.points):6} {mesh.quality.min():.2f} {angles.min():4.0f}-{angles.max():.0f} "
               f"{100 * found['volume']:+7.2f} {found['p99']:8.2f} {found['far']:7.2f}", flush=True)
