@@ -40,6 +40,13 @@ REASONS = {
     "live: a moved cut": "dense algebra, the backsolve to the whole organ, and conditions of lips, contact and skull; "
     "the mark was set on cuts without tip functions, contact and mean conditions",
     "live: a moved blade over": "the forces, and whether lips touch, are worked out too",
+    "reference, flat, ramp: ": "the largest lies in elements of 5 mm in the surface, where the ramp of 4 mm begins; "
+    "smaller ones there take a part of it",
+    "reference, ": "the largest lies 3 mm beside the cut's front, where that meets the surface; likely because, "
+    "without functions of its own, a cut is up to an element short",
+    "plane as a limit: max beyond 8 mm, mm, near the tip too": "it lies within two elements of the tip; the cut is "
+    "short by up to an element, as in the plane without tip functions",
+    "plane as a limit: rms": "of the tissue far from the cut, in elements of 2.5 mm",
     "run: from a mask": "what a run reports of its solution is worked out too",
 }
 PREFACE = """# Performance

@@ -12,7 +12,8 @@ from pathlib import Path
 from benchmarks import performance
 
 PAGE = Path("docs/measured/volume.md")
-TITLES = {"volume_mesh": "Meshes"}
+TITLES = {"volume_mesh": "Meshes", "volume_reference": "Displacements beside a conforming reference",
+          "volume_solve": "Cutting and solving"}
 PREFACE = """# In space
 
 Written by `python -m benchmarks.volume`. One thread; seconds are those that the process had a processor for, and what

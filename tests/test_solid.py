@@ -5,14 +5,16 @@ import pytest
 from blocks import block
 from numpy.testing import assert_allclose
 
+from benchmarks.verification.plates import given_on_rim, plate_problem
 from xfemnav.errors import XfemnavError
 from xfemnav.geometry.mesh import Mesh, area_vectors
 from xfemnav.geometry.solid.sheet import Sheet
 from xfemnav.geometry.solid.split import split
 from xfemnav.geometry.solid.sweep import flat, swept
 from xfemnav.mechanics.conditions.lip_patches import patch_points
+from xfemnav.mechanics.conditions.placing import functions_on
 from xfemnav.mechanics.conditions.problem import pose
-from xfemnav.mechanics.rules import Gravity, LipRules, Loads, Retraction, Rules, Skull
+from xfemnav.mechanics.rules import Basis, Gravity, LipRules, Loads, Retraction, Rules, Skull
 from xfemnav.mechanics.solving import multigrid
 from xfemnav.mechanics.solving.measures import measure
 from xfemnav.mechanics.solving.multigrid import by_multigrid
@@ -119,6 +121,19 @@ def test_halves_that_are_pulled_apart_move_rigidly(monkeypatch):
     shift = np.where(left[:, None, None], (0.1, -0.5, 0.2), (0, 0.3, 0))
     assert_allclose(found.moved - found.rest, np.broadcast_to(shift, found.rest.shape), atol=1e-12)
     assert abs(found.energy) < 1e-12 and abs(found.strain).max() < 1e-10
+
+
+def test_strains_that_leave_the_lips_free_of_traction_are_exact(monkeypatch):
+    """The patch test: a linear displacement on the outline, without traction on the cut's plane, goes on inside."""
+    monkeypatch.setattr(multigrid, "TOLERANCE", 1e-14)
+    mesh, nu = block(3, 6), BRAIN.poisson
+    sheet = flat(lambda points: 6 - points[..., 2], (3.1, 3.13, 4.4), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], (4.0, 4.4))
+    space = functions_on(mesh, split(mesh, (sheet.level(mesh),)), Basis("none"))
+    across = -nu / (1 - nu) * (0.02 - 0.01)
+    gradient = np.array([[0.02, 0.03, 0.01], [-0.03, across, 0.02], [0.005, -0.02, -0.01]])
+    given = given_on_rim(space, np.arange(len(space.parts.rim.parts)), lambda x, _: x @ gradient.T)
+    found = solve(plate_problem(space, (sheet,), BRAIN, [given], np.zeros(space.enrichment.n_dof), "none"))
+    assert_allclose(found.moved - found.rest, found.rest @ gradient.T, atol=1e-12)
 
 
 def test_an_opened_ball_is_symmetric_and_its_blades_press_outwards():

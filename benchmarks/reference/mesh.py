@@ -33,7 +33,7 @@ class Grading:
 
 @dataclass(frozen=True, eq=False)
 class SplitMesh:
-    """Triangles with doubled nodes along the cuts: points (n, 2) mm, cells (m, 3)."""
+    """Triangles, in space tetrahedra, with doubled nodes along the cuts: points (n, d) mm, cells (m, d + 1)."""
 
     points: np.ndarray
     cells: np.ndarray
@@ -144,26 +144,24 @@ def _size_callback(grading):
     return size
 
 
-def split(points, cells, cut_edges) -> SplitMesh:
-    """Double the nodes of the cut edges (e, 2): one node for each connected part of a node's fan of triangles."""
-    half = cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    cell, turned = np.repeat(np.arange(len(cells)), 3), half[:, 0] > half[:, 1]
-    edge = np.sort(half, axis=1)
-    key = edge @ np.array([len(points), 1])
+def split(points, cells, cut_facets) -> SplitMesh:
+    """Double the nodes of the cut facets (e, d): one node for each connected part of a node's fan of simplices."""
+    k = cells.shape[1]
+    corner = k * np.arange(len(cells))[:, None, None] + [[b for b in range(k) if b != a] for a in range(k)]
+    corner = corner.reshape(-1, k - 1)
+    corner = np.take_along_axis(corner, np.argsort(cells.ravel()[corner], axis=1), axis=1)
+    place = len(points) ** np.arange(k - 1)
+    key = cells.ravel()[corner] @ place
     order = np.argsort(key, kind="stable")
     same = np.flatnonzero(key[order][1:] == key[order][:-1])
     one, two = order[same], order[same + 1]
-    closed = ~np.isin(key[one], np.sort(cut_edges, axis=1) @ np.array([len(points), 1]))
-    one, two = one[closed], two[closed]
-    local = np.arange(len(half)) % 3
-    # Local corner at the smaller and at the larger node of a half-edge.
-    corner = 3 * cell[:, None] + np.stack([(local + turned) % 3, (local + ~turned) % 3], axis=1)
-    pairs = np.concatenate([np.stack([corner[one, k], corner[two, k]], axis=1) for k in (0, 1)])
+    closed = ~np.isin(key[one], np.sort(cut_facets, axis=1) @ place)
+    pairs = np.stack([corner[one[closed]], corner[two[closed]]]).reshape(2, -1)
     size = cells.size
-    n, label = connected_components(coo_array((np.ones(len(pairs), bool), pairs.T), (size, size)), directed=False)
+    n, label = connected_components(coo_array((np.ones(pairs.shape[1], bool), pairs), (size, size)), directed=False)
     where = np.empty(n, dtype=int)
     where[label] = cells.ravel()
-    return SplitMesh(points[where], label.reshape(-1, 3))
+    return SplitMesh(points[where], label.reshape(-1, k))
 
 
 def _quality(x):

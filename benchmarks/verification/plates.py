@@ -66,13 +66,14 @@ def traction_load(space: Space, facets, traction) -> np.ndarray:
 
 
 def given_on_rim(space: Space, facets, displacement: Callable) -> Constraints:
-    """u = displacement(points (k, 2), inside (k, 2)) mm at both ends of facets of the outline.
+    """u = displacement(points (k, d), inside (k, d)) mm at all corners of facets of the outline.
 
     `inside` are the middles of the facets: at a mouth they tell on which side of the cut the point lies.
     """
     ends = space.parts.rim.facets[facets]
-    points, middles = ends.reshape(-1, 2), np.repeat(ends.mean(axis=1), 2, axis=0)
-    B = space.basis_in(points, np.repeat(space.parts.rim.parts[facets], 2))
+    d = ends.shape[2]
+    points, middles = ends.reshape(-1, d), np.repeat(ends.mean(axis=1), d, axis=0)
+    B = space.basis_in(points, np.repeat(space.parts.rim.parts[facets], d))
     B.data[np.abs(B.data) < 1e-12] = 0
     B.eliminate_zeros()
     return vector_rows(B, displacement(points, middles), SKULL)
