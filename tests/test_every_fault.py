@@ -69,6 +69,7 @@ def twice(x):
 """
 
 
+@pytest.mark.slow  # it wants a process in which no command has settled where kernels are kept
 @pytest.mark.parametrize("call", ["open", "replace"])
 def test_a_kernel_that_cannot_be_kept_ends_nothing(tmp_path, monkeypatch, call):
     """The disk of compiled kernels is full: they are compiled anew in the next run."""
