@@ -35,23 +35,21 @@ def stuff(field: Field, size, fine_mm: float, coarse_mm: float) -> Mesh:
     own, turn = field.upright()
     tree = octree(own, lambda x: size(field.origin + x @ turn), fine_mm, coarse_mm)
     nodes, cells = tetrahedra(tree, leaves(tree, own))
-    points, cells = _stuffed(own, tree.corner + nodes * (fine_mm / 2), nodes, cells)
-    points, cells = _pieces(points, cells)
-    if not len(cells):
+    points, lattice = _pieces(*_stuffed(own, tree.corner + nodes * (fine_mm / 2), nodes, cells))
+    if not len(points):
         raise XfemnavError("E207", f"the organ is nowhere as wide as its elements of {fine_mm:g} to {coarse_mm:g} mm; "
                                    "give a smaller ⟦element_size_mm⟧")
-    points = _smoothed(own, points, cells)
-    return Mesh(field.origin + points @ turn, cells if np.linalg.det(turn) > 0 else cells[:, [0, 1, 3, 2]])
+    points = field.origin + _smoothed(own, points, lattice) @ turn
+    return Mesh(points, lattice.cells if np.linalg.det(turn) > 0 else lattice.cells[:, [0, 1, 3, 2]])
 
 
 def _stuffed(field, points, nodes, cells):
-    """Points (n, 3) mm, and tetrahedra (m, 4) that fill the organ, of a lattice whose `nodes` (n, 3) are at points."""
+    """Points (n, 3) mm, and tetrahedra (m, 4) that fill the organ, of a lattice whose `nodes` (n, 3) are at points; and
+    where the points are in the lattice as it was, with its edges cut in the middle."""
     phi = field(points)
     phi[np.abs(phi) < TINY] = TINY
     cells = cells[(phi[cells] > 0).any(axis=1)]
-    turned = volumes(points[cells]) < 0
-    cells[turned] = cells[turned][:, [0, 1, 3, 2]]
-    ends = _crossed(cells, phi)
+    ends, rest = _crossed(cells, phi), points.copy()
     share = _shares(field.samples, points, phi, ends)
     near = np.where((nodes[ends[:, 0]] != nodes[ends[:, 1]]).sum(axis=1) == 1, ALONG, ASLANT)
     order = np.lexsort((ends[:, 1], ends[:, 0], np.minimum(share, 1 - share)))
@@ -64,7 +62,8 @@ def _stuffed(field, points, nodes, cells):
     cut = points[ends[:, 0]] + share[:, None] * (points[ends[:, 1]] - points[ends[:, 0]])
     names = ends @ [len(points), 1]
     found = np.empty((6 * len(cells), 4), np.int64)
-    return np.concatenate([points, cut]), found[: _fill(cells, phi, names, cut, found)].copy()
+    cells = found[: _fill(cells, phi, names, cut, found)].copy()
+    return np.concatenate([points, cut]), cells, np.concatenate([rest, rest[ends].mean(axis=1)])
 
 
 def _crossed(cells, phi):
@@ -235,27 +234,27 @@ def _shorter_diagonal(order, names, cut, n):
         q[0], q[1] = q[1], q[0]
 
 
-def _pieces(points, cells):
-    """Without pieces of fewer than CRUMB cells, and nodes that no cell has; positively oriented."""
+def _pieces(points, cells, rest):
+    """Points (n, 3) mm, without pieces of fewer than CRUMB cells and what no cell has, and the mesh of them in the
+    lattice as it was: that orients the cells, and none is flat there or turned over by nodes that moved."""
     _, piece = connected_components(coo_array(
         (np.ones(3 * len(cells), np.int8), (cells[:, :3].ravel(), cells[:, 1:].ravel())), (len(points),) * 2), False)
     of = piece[cells[:, 0]]
     cells = cells[np.bincount(of)[of] >= CRUMB]
     used = np.zeros(len(points), bool)
     used[cells] = True
-    points, cells = points[used], (np.cumsum(used) - 1)[cells]
-    turned = volumes(points[cells]) < 0
+    points, rest, cells = points[used], rest[used], (np.cumsum(used) - 1)[cells]
+    turned = volumes(rest[cells]) < 0
     cells[turned] = cells[turned][:, [0, 1, 3, 2]]
-    return points, cells
+    return points, Mesh(rest, cells)
 
 
-def _smoothed(field, points, cells):
-    """Points (n, 3) mm after star smoothing."""
-    mesh = Mesh(points, cells)
+def _smoothed(field, points, mesh):
+    """Points (n, 3) mm after star smoothing, which turns over what is turned over."""
     on_surface = np.zeros(len(points), bool)
     on_surface[mesh.boundary_facets] = True
-    reach = np.bincount(cells.ravel(), np.repeat(mesh.sizes, 4), len(points)) / mesh.valences
-    points, about = points.copy(), stars(mesh.cells, len(points))
+    reach = np.bincount(mesh.cells.ravel(), np.repeat(mesh.sizes, 4), len(points)) / mesh.valences
+    about = stars(mesh.cells, len(points))
     smooth(points, mesh.cells, *about, on_surface, reach, field.samples)
     shift(points, mesh.cells, *about, *_sag(field, points, mesh.boundary_facets))
     return points
