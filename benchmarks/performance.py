@@ -47,6 +47,9 @@ REASONS = {
     "plane as a limit: max beyond 8 mm, mm, near the tip too": "it lies within two elements of the tip; the cut is "
     "short by up to an element, as in the plane without tip functions",
     "plane as a limit: rms": "of the tissue far from the cut, in elements of 2.5 mm",
+    "embedding at 100k nodes": "most of it is spent on faces that no cut meets",
+    "setup and solution at 100k": "to a residual of 1e-10",
+    "iterations, any sliver": "to a residual of 1e-10; slivers do not add to it",
     "run: from a mask": "what a run reports of its solution is worked out too",
 }
 PREFACE = """# Performance
